@@ -2,11 +2,11 @@
 
 Conventions
 -----------
-* Signals are arrays (axis, sample), time last; operators stand in between: (output, input, operator).
-* Units are V, um, s, Hz; names that cross a boundary carry them, such as ``rms_um`` and ``frequency_hz``.
-* Blocks start at rest. Where a block has memory, it is an explicit state that goes in and comes out;
+* Signals are arrays (axis, sample), time last. Weights are arrays (output, input, operator).
+* Units are V, um, s, Hz; public names state them, such as ``rms_um`` and ``frequency_hz``.
+* Blocks start at rest. The memory of a block is an explicit state that it takes and returns.
   ``respond`` on a whole signal and ``step`` on one sample give identical numbers.
-* A voltage is held over each sample; the linear block is discretised exactly for that.
+* A voltage is constant over each sample; the linear block is discretised exactly for this.
 
 Examples
 --------

@@ -114,7 +114,7 @@ def _compile(compile_it: Callable[[Any], Any], folder: Path | None, name: str, g
     Two that keep a loop for different types at once could otherwise take one for the other.
     """
     if folder is None:
-        _warn_once("compiled loops cannot be kept: set NUMBA_CACHE_DIR to a folder that can be written")
+        _warn_once("compiled loops are not cached: set NUMBA_CACHE_DIR to a writable folder")
     with _alone(folder, name), uncollected():
         try:
             return compile_it(given)
@@ -126,7 +126,7 @@ def _compile(compile_it: Callable[[Any], Any], folder: Path | None, name: str, g
             reason = error
         with suppress(Exception):
             found = compile_it(given)  # compiled, and not kept
-            _warn_once(f"compiled loops cannot be kept in {folder} ({reason})")
+            _warn_once(f"compiled loops are not cached in {folder} ({reason})")
             return found
         shutil.rmtree(folder, ignore_errors=True)
         return compile_it(given)
@@ -215,9 +215,9 @@ class _Watch(numba_events.Listener):
         """Begin to compile a loop, or one that it calls."""
         if not self.said and multiprocessing.parent_process() is None:
             before = _last_time()
-            known = f"last time it took {before:.0f} s" if before else "once after installation"
+            known = f"last time it took {before:.0f} s" if before else "only after installation"
             loop = begun.data["dispatcher"].py_func.__name__
-            _warn_once(f"compiling {loop} and the other time loops that are needed; {known}")
+            _warn_once(f"compiling {loop} and the other time loops; {known}")
         self.said = True
         if self.depth == 0:
             self.began = time.monotonic()

@@ -18,7 +18,7 @@ class Notice(UserWarning):
 
 
 class HammersteinError(Exception):
-    """Any mistake that a caller can mend. Its text is the whole message for a person."""
+    """Any error that a caller can correct. Its text is the whole message for a person."""
 
     exit_code: ClassVar[int] = 1
 
@@ -37,12 +37,12 @@ class Mistake(NamedTuple):
 
 
 class InputError(HammersteinError):
-    """A file, or a value given in its place, is wrong.
+    """A file or a value is wrong.
 
     Parameters
     ----------
     source : the file, or the name of the value, that is wrong
-    mistakes : every mistake found in it, or one sentence
+    mistakes : all mistakes in it, or one sentence
     """
 
     exit_code = 2
@@ -90,7 +90,7 @@ class LostProcessError(HammersteinError):
 
 
 class IdentificationError(HammersteinError):
-    """The data do not determine the model that was asked for."""
+    """The data do not determine the requested model."""
 
     exit_code = 4
 

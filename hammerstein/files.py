@@ -32,7 +32,7 @@ def refuse_size(path: Path, what: str, limit: int) -> None:
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({reason_of(error)})") from None
     if not stat.S_ISREG(found.st_mode):
-        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no ordinary file"
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no regular file"
         raise InputError(str(path), f"is {kind}; a {what} was expected")
     size = found.st_size
     if size > limit:
@@ -55,7 +55,7 @@ def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
     if _depth(text) > DEEPEST:
         raise InputError(
             str(path),
-            f"has brackets in more than {DEEPEST} others; a {what} was expected, is it the right file?",
+            f"has more than {DEEPEST} nested brackets; a {what} was expected, is it the right file?",
         )
     return text
 
@@ -135,7 +135,7 @@ def refuse_no_file(source: str, path: Path) -> None:
             source, f"{path} is a link to {os.path.realpath(path)}; give that file, or another name"
         )
     if path.exists() and not path.is_file():
-        what = "a folder" if path.is_dir() else "no ordinary file"
+        what = "a folder" if path.is_dir() else "no regular file"
         raise InputError(source, f"{path} is {what}; give the name of a file")
 
 
@@ -159,7 +159,7 @@ def refuse_unwritable(option: str, folder: Path) -> None:
     if not place.is_dir():
         raise InputError(option, f"{place} is a file, not a folder; choose another place")
     if not os.access(place, os.W_OK | os.X_OK):
-        raise InputError(option, f"the folder {place} cannot be written; choose another place")
+        raise InputError(option, f"the folder {place} is not writable; choose another place")
 
 
 def register_cleanup(place: Path, discard: Callable[[], None]) -> None:

@@ -93,9 +93,9 @@ _FAMILIES: list[Family[Any]] = []
 
 
 def register(kind: K) -> K:
-    """Add a kind of signal, compensator, hysteresis, dynamics or assessment, so that files may name it.
+    """Register a kind of signal, compensator, hysteresis, dynamics or assessment, so that files can name it.
 
-    May be used as a decorator.
+    Usable as a decorator.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def register(kind: K) -> K:
             family.register(kind)
             return kind
     bases = ", ".join(family.base.__name__ for family in _FAMILIES)
-    raise InputError(kind.__name__, f"is no kind that plugs in; derive it from one of {bases}")
+    raise InputError(kind.__name__, f"is no kind that can be registered; derive it from one of {bases}")
 
 
 def looked_up(validate: Callable[[], V]) -> V:

@@ -41,7 +41,7 @@ class ScenarioFile(pytest.File):
     """A scenario file: one test."""
 
     def collect(self) -> Iterator[ScenarioItem]:
-        """Give its only test."""
+        """Return its only test."""
         yield ScenarioItem.from_parent(self, name=self.path.stem)
 
 

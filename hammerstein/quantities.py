@@ -44,7 +44,7 @@ class Range:
         return f"must be {zero}{_plain(self.low)} to {_plain(self.high)}{inf}"
 
     def checked(self, value: Any) -> Any:
-        """Give the value back, or say what is allowed."""
+        """Return the value back, or say what is allowed."""
         if not self.holds(value):
             raise PydanticCustomError(OUT_OF_RANGE, "{words}", {"words": self.words()})
         return value
@@ -146,7 +146,7 @@ Modes = Annotated[int, Range(0, 5)]
 
 def _without_control_characters(text: str) -> str:
     if not text.isprintable():
-        raise ValueError("holds a character that cannot be printed; type it again")
+        raise ValueError("contains a character that cannot be printed; type it again")
     return text
 
 
@@ -165,7 +165,7 @@ def no_name(text: str) -> str:
     if len(text) > LONGEST_NAME:
         return f"has {len(text)} characters; a name has at most {LONGEST_NAME}"
     if not text.isprintable():
-        return "holds a character that cannot be printed; type it again"
+        return "contains a character that cannot be printed; type it again"
     return ""
 
 
@@ -173,14 +173,14 @@ def _finite_throughout(value: JsonValue) -> JsonValue:
     try:
         json.dumps(value, allow_nan=False)
     except ValueError:
-        raise ValueError("holds a number that is not finite; JSON has none") from None
+        raise ValueError("contains a number that is not finite; JSON has none") from None
     return value
 
 
 def of_equal_rows(matrix: Any) -> Any:
     """Refuse a matrix whose rows differ in length; words in its place pass."""
     if not isinstance(matrix, str) and len({len(row) for row in matrix}) != 1:
-        raise ValueError("has rows of different length, or none; give a matrix")
+        raise ValueError("has rows of different lengths, or none; give a matrix")
     return matrix
 
 

@@ -55,11 +55,13 @@ class DriveRange:
             k = int(np.argmax(outside))
             raise InputError(
                 "start",
-                f"{self.start_v[k]:g} V of input {k + 1} lies outside the range, {self.low_v[k]:g} to "
+                f"{self.start_v[k]:g} V of input {k + 1} is outside the range {self.low_v[k]:g} to "
                 f"{self.high_v[k]:g} V; give a start inside it, or another range",
             )
         if self.conditioned and not np.isfinite(self.span_v).all():
-            raise InputError("conditioning", "needs a finite range, whose ends the actuator is driven to")
+            raise InputError(
+                "conditioning", "needs a finite range, because the actuator is driven to both ends of it"
+            )
 
     @classmethod
     def of(
@@ -91,11 +93,11 @@ class DriveRange:
 
     @property
     def counted(self) -> tuple[Array, Array]:
-        """Lowest and highest voltage (m,), counted from the working point [V]."""
+        """Lowest and highest voltage (m,), relative to the working point [V]."""
         return self.low_v - self.working_point_v, self.high_v - self.working_point_v
 
     def history(self) -> Array:
-        """Voltages (m, steps) from rest, which comes first, to the start; counted from the working point."""
+        """Voltages (m, steps) from rest, which comes first, to the start; relative to the working point."""
         low, high = self.counted
         start, rest = self.start_v - self.working_point_v, np.zeros(len(self.start_v))
         if self.conditioned:
@@ -103,7 +105,7 @@ class DriveRange:
         return np.stack([rest, start] if start.any() else [rest], axis=1)
 
     def absolute(self, counted_v: Array) -> Array:
-        """Voltages (m, N) as they are sent, from those counted from the working point."""
+        """Voltages (m, N) as they are sent, from those relative to the working point."""
         if not self.working_point_v.any():
             return counted_v
         sent = counted_v + self.working_point_v[:, None]

@@ -68,7 +68,7 @@ NOISE_BLOCK = 4096
 class Drive(Strict):
     """Digital-to-analogue converter and amplifier: clips, rounds and holds the voltage.
 
-    An infinite range or a resolution of zero switches that effect off. The published set-up (paper,
+    An infinite range or a resolution of zero disables the effect. The published set-up (paper,
     section 5.1) is the default; the paper names the converter, not its resolution: 16 bits are assumed.
     """
 
@@ -76,11 +76,11 @@ class Drive(Strict):
 
     range_v: RangeV = Field(
         default=(-10.0, 10.0),
-        description="[lowest, highest] voltage, for all inputs or a list of one an input; a single number N "
-        "is [-N, N]; inf: no limit",
+        description="[lowest, highest] voltage, for all inputs or a list with one pair for each "
+        "input; a single number N is [-N, N]; inf: no limit",
     )
     resolution_v: Step = Field(default=20.0 / 2**16, description="step of the converter; 0: none")
-    sample_time_s: SampleTime = Field(default=50e-6, description="time for which a voltage is held")
+    sample_time_s: SampleTime = Field(default=50e-6, description="time for which a voltage is constant")
 
     def limits(self, inputs: int) -> Array:
         """Lowest and highest voltage (2, input) of each input [V].
@@ -102,7 +102,7 @@ class Drive(Strict):
         return np.asarray(inside * self.resolution_v)
 
     def apply(self, u_v: Array, out: Array | None = None) -> tuple[Array, Flags]:
-        """Voltages that leave the converter (input, sample), and where the range cut them.
+        """Output voltages of the converter (input, sample), and samples at which the range cut them.
 
         A voltage up to the range, as of a sine, is not cut.
 
@@ -133,7 +133,7 @@ class Sensor(Strict):
 
     model_config = ConfigDict(ser_json_inf_nan="strings")
 
-    range_um: Limit = Field(default=250.0, description="largest reading of either sign; inf: no limit")
+    range_um: Limit = Field(default=250.0, description="largest absolute reading; inf: no limit")
     resolution_um: Step = Field(default=0.04, description="step of the reading; 0: none")
     bandwidth_hz: Bandwidth = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
     noise_um: Noise = Field(default=0.04, description="rms of the white noise; 0: none")
@@ -144,7 +144,7 @@ class Sensor(Strict):
         return self == Instruments.ideal().sensor
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
-        """Readings (output, sample) of positions that have passed the sensor's bandwidth."""
+        """Readings (output, sample) of positions after the sensor's low-pass."""
         reading = np.array(filtered_um, dtype=np.float64, order="C")
         self.read_in_place(reading, generator, 0, reading.shape[1])
         return reading
@@ -183,11 +183,11 @@ class Instruments(Strict):
     model_config = ConfigDict(ser_json_inf_nan="strings")
 
     drive: Drive = Field(default=Drive(), description="converter and amplifier")
-    sensor: Sensor = Field(default=Sensor(), description="what reads the position")
+    sensor: Sensor = Field(default=Sensor(), description="position sensor")
 
     @classmethod
     def ideal(cls, sample_time_s: float = 50e-6) -> Instruments:
-        """Switch every effect off but the hold."""
+        """Instruments without any effect but the hold."""
         return cls(
             drive=Drive(range_v=(-math.inf, math.inf), resolution_v=0.0, sample_time_s=sample_time_s),
             sensor=Sensor(range_um=math.inf, resolution_um=0.0, bandwidth_hz=math.inf, noise_um=0.0),

@@ -63,7 +63,7 @@ class Law(Designed, Generic[S]):
 
     @abstractmethod
     def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
-        """Drive (m, N), counted from the working point, for a checked reference (p, N), and the state after.
+        """Drive (m, N), relative to the working point, for a checked reference (p, N), and the state after.
 
         ``start`` is kept.
         """
@@ -139,7 +139,7 @@ class Law(Designed, Generic[S]):
         return self.respond(coming, start)[0]
 
     def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
-        """Give the law as a discrete ``control.NonlinearIOSystem``.
+        """Return the law as a discrete ``control.NonlinearIOSystem``.
 
         Its inputs are ``reference_um[o]``, its outputs ``requested_v[k]``, which leave ``preview_samples``
         later than their reference comes. ``primed`` gives the state to start with, and what to send, where
@@ -217,7 +217,7 @@ def checked_reference(reference_um: ArrayLike, n_outputs: int) -> Array:
     """Reference as a contiguous (output, sample) array; InputError names axis and sample of a bad value."""
     reference = np.ascontiguousarray(np.atleast_2d(np.asarray(reference_um, dtype=np.float64)))
     if reference.shape[0] != n_outputs or reference.ndim != 2:
-        raise InputError("reference", f"has shape {reference.shape}; the model wants ({n_outputs}, samples)")
+        raise InputError("reference", f"has shape {reference.shape}; it must be ({n_outputs}, samples)")
     if not np.isfinite(reference).all():
         axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(reference)))
         raise InputError("reference", f"axis {axis + 1} is not finite at sample {sample}")
@@ -239,5 +239,8 @@ def require_grid(designed_s: float | None, sample_time_s: float, what: str) -> N
     if designed_s is not None and not math.isclose(designed_s, sample_time_s, rel_tol=1e-9):
         raise InputError(
             "sample_time_s",
-            f"is {sample_time_s:g}, but the {what} was made for {designed_s:g}; make it again, or use that",
+            (
+                f"is {sample_time_s:g}, but the {what} was designed for {designed_s:g}; use this sample "
+                "time, or design it again"
+            ),
         )

@@ -29,7 +29,7 @@ class Memory:
     """
 
     def as_dict(self) -> dict[str, Any]:
-        """Give plain lists and numbers."""
+        """Return plain lists and numbers."""
         return {name: _plain(getattr(self, name)) for name in self._names()}
 
     def restored(self, data: dict[str, Any]) -> Self:
@@ -39,12 +39,12 @@ class Memory:
         """
         missing = [name for name in self._names() if name not in data]
         if missing:
-            what = f"has no {', '.join(missing)}: it is that of another block, or of another version"
-            raise InputError("memory", f"{what}; begin at rest")
+            what = f"has no {', '.join(missing)}: it belongs to another block, or to another version"
+            raise InputError("memory", f"{what}; start at rest")
         return self._with(lambda name, own: _shaped(own, data[name]))
 
     def copy(self) -> Self:
-        """Give an independent copy."""
+        """Return an independent copy."""
         return self._with(lambda _, own: own.copy() if isinstance(own, np.ndarray | Memory) else own)
 
     def _names(self) -> tuple[str, ...]:

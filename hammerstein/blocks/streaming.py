@@ -13,15 +13,15 @@ from hammerstein.errors import InputError
 
 
 class Stream:
-    """A law at work, with its memory inside.
+    """A running law that holds its own state.
 
-    It leaves no garbage behind: what a step needs is freed at its end, so that the collector has nothing to
-    stop for. The voltages are those of ``law.step``, to the last bit.
+    A step leaves no garbage, so the garbage collector does not pause it. The voltages equal those of
+    ``law.step`` to the last bit.
 
     Attributes
     ----------
     law : the law
-    state : memory after the last sample, to be kept and given back; it is never written to
+    state : state after the last sample; you may keep it and pass it in again, it is never modified
 
     Examples
     --------
@@ -68,8 +68,8 @@ def stream(compensator: Law[Any], state: Any = None) -> Stream:
 
     Parameters
     ----------
-    compensator : what ``design`` gave
-    state : memory to begin with, such as that of another stream or of ``law.primed``; at rest if not given
+    compensator : result of ``design``
+    state : initial state, for example of another stream or from ``law.primed``; at rest if not given
 
     Raises
     ------
@@ -79,7 +79,8 @@ def stream(compensator: Law[Any], state: Any = None) -> Stream:
         what = type(compensator).__name__
         raise InputError(
             "stream",
-            f"{what} is no sensorless law; design one first, as in ExactInverse().design(model, range_v, "
-            "sample_time_s). A controller that reads the sensor is used by its request and correct",
+            f"{what} is no sensorless law; design one first, as in ExactInverse().design(model, "
+            "range_v, sample_time_s). For a controller that reads the sensor, call its methods "
+            "request and correct",
         )
     return Stream(compensator, state)

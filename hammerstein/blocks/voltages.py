@@ -24,11 +24,13 @@ class Voltages(Strict):
     The plays rest at the working point; the position there, at rest, is zero.
     """
 
-    working_point_v: tuple[Offset, ...] = Field(description="voltage at which the plays rest")
+    working_point_v: tuple[Offset, ...] = Field(description="voltage at which the plays are at rest")
     lowest_v: tuple[Offset, ...] = Field(description="lowest voltage of the records")
     highest_v: tuple[Offset, ...] = Field(description="highest voltage of the records")
     poling: tuple[Poling, ...] = Field(
-        description="sign of the voltages that the records stayed on, up to a quarter of the larger side"
+        description=(
+            "sign of the recorded voltages, if the opposite side is at most a quarter of the larger side"
+        )
     )
 
     @model_validator(mode="after")
@@ -81,11 +83,13 @@ def _poling(low: float, high: float) -> Poling:
 class Verdict(Strict):
     """What its identification says of a model."""
 
-    flagged: bool = Field(description="whether the records do what a model of this kind cannot")
-    statements: tuple[str, ...] = Field(default=(), description="what it cannot represent")
-    held_out: bool = Field(default=False, description="whether a validation record judged it")
-    sentence: str = Field(default="", description="which block lowers the error")
-    nrmse_percent: tuple[Figure, ...] = Field(default=(), description="error of each output it was judged by")
+    flagged: bool = Field(description="whether the records show an effect that this model cannot represent")
+    statements: tuple[str, ...] = Field(default=(), description="effects that it cannot represent")
+    held_out: bool = Field(default=False, description="whether the error is from a validation record")
+    sentence: str = Field(default="", description="blocks that lower the error")
+    nrmse_percent: tuple[Figure, ...] = Field(
+        default=(), description="error of each output on the records used for the verdict"
+    )
 
     def error(self, outputs: Sequence[str]) -> str:
         """Error of a model in words, by the names of its outputs; empty where no record has judged it.
@@ -98,4 +102,4 @@ class Verdict(Strict):
         pairs = zip(self.nrmse_percent, outputs, strict=True)
         first, *others = (f"{percent:.2g} % of the range of {name}" for percent, name in pairs)
         told = " and ".join([first, *(text.replace("the range", "that") for text in others)])
-        return f"{told} on {'validation records' if self.held_out else 'the records it was fitted to'}"
+        return f"{told} on {'validation records' if self.held_out else 'the records used for the fit'}"

@@ -69,21 +69,21 @@ def _example(command: str) -> str:
 
 COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
 SHORT = {
-    "init": "Make a working folder with an example that runs.",
+    "init": "Create a working folder with an example.",
     "guide": "Read the guide.",
-    "show": "Print what a file holds.",
-    "loops": "Measure the loops in records.",
-    "identify": "Find a model from records, and how far to trust it.",
-    "compare": "Fit every kind of model to records; recommend one.",
-    "compensate": "Turn a path into the voltages to send.",
-    "play": "Play voltages on a model.",
-    "degauss": "Write a drive that erases the history of an actuator.",
-    "export": "Write a law or a model as C, or as an FMU.",
-    "run": "Run scenarios; write a report page for each.",
-    "sweep": "Run a scenario with many values of its keys.",
-    "check": "Compare every number of scenarios with its baseline.",
-    "plot": "Draw the figures of one scenario, and nothing else.",
-    "actuators": "List the actuators that come with the package.",
+    "show": "Print the content of a file.",
+    "loops": "Measure hysteresis loops in records.",
+    "identify": "Identify a model from records and report its errors.",
+    "compare": "Fit every kind of model to records and recommend one.",
+    "compensate": "Compute the voltages that follow a path.",
+    "play": "Simulate a model's response to voltages.",
+    "degauss": "Write a drive that erases an actuator's history.",
+    "export": "Export a law or a model as C code or as an FMU.",
+    "run": "Run scenarios and write their reports.",
+    "sweep": "Run a scenario for many values of its keys.",
+    "check": "Compare scenarios with their accepted numbers.",
+    "plot": "Draw the figures of one scenario.",
+    "actuators": "List the packaged actuators.",
     "schema": "Print the JSON Schema of scenario files.",
 }
 """Every command in a line, in the order of a person's work."""
@@ -108,7 +108,7 @@ def _before(
         bool, typer.Option("--version", is_eager=True, callback=_say_version, help="Print the version.")
     ] = False,
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Print mistakes and warnings alone; --json is printed.")
+        bool, typer.Option("--quiet", "-q", help="Print only errors, warnings and --json output.")
     ] = False,
 ) -> None:
     """What stands before a command."""

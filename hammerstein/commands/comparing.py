@@ -23,9 +23,9 @@ def compare(
     recorded: RecordFiles,
     held: HeldBack,
     identified: Identified,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the comparison goes.")] = Path("compare"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")] = Path("compare"),
     jobs: Annotated[
-        int, typer.Option(min=1, help="Identifications side by side.", show_default="the processors")
+        int, typer.Option(min=1, help="Parallel identifications.", show_default="the processors")
     ] = PROCESSORS,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
     overwrite: Overwrite = False,
@@ -45,7 +45,7 @@ def compare(
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     samples = sum(record.samples for record in records)
-    begun = f"comparing every kind of model on {samples} samples; of long records that takes minutes"
+    begun = f"comparing every kind of model on {samples} samples; long records take minutes"
     with Spinner(begun) as spinner:
 
         def watch(what: str, done: int, total: int) -> None:
@@ -58,7 +58,7 @@ def compare(
         tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)
         return
     _show_comparison(found)
-    tell(f"comparison in {out}, look at {out / 'compare.html'}")
+    tell(f"comparison in {out}; open {out / 'compare.html'}")
 
 
 def _show_comparison(found: Comparison) -> None:

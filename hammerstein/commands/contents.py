@@ -91,7 +91,7 @@ def contents_of(path: Path) -> Contents:
         refuse_missing(path)
         return Contents("arrays", tuple(arrays_in(path)))
     if path.suffix.lower() in PAGES:
-        raise InputError(str(path), "is a page to read; its data are in the .json beside it")
+        raise InputError(str(path), "is a page for reading; its data are in the .json beside it")
     facts = tuple(_table(path))
     return Contents(_kind_of_table([name for name, _ in facts]), facts)
 
@@ -216,7 +216,7 @@ def _table(path: Path) -> Iterator[tuple[str, str]]:
     from hammerstein.signals.text_tables import find_layout
 
     if path.suffix.lower() in PARQUET:
-        raise InputError(str(path), "is a Parquet file; pandas.read_parquet shows its columns")
+        raise InputError(str(path), "is a Parquet file; use pandas.read_parquet to see its columns")
     refuse_missing(path)
     layout = find_layout(path)
     columns = read_columns(path, [str(number + 1) for number in range(min(layout.width, MOST_COLUMNS))])

@@ -14,12 +14,14 @@ from hammerstein.commands.terminal import tell, tell_json, tell_statements
 
 def degauss(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("degauss.csv"),
-    frequency: Annotated[float, typer.Option(min=1e-3, metavar="HZ", help="Of the alternation.")] = 10.0,
-    cycles: Annotated[int, typer.Option(min=1, max=10_000, help="Periods until nothing is left.")] = 40,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("degauss.csv"),
+    frequency: Annotated[
+        float, typer.Option(min=1e-3, metavar="HZ", help="Frequency of the alternation.")
+    ] = 10.0,
+    cycles: Annotated[int, typer.Option(min=1, max=10_000, help="Periods until the amplitude is zero.")] = 40,
     range_v: Annotated[
         str | None,
-        typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
+        typer.Option("--range", metavar="LOW,HIGH", help="Allowed voltages; default: recorded range."),
     ] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,

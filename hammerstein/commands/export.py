@@ -20,16 +20,16 @@ def export(
     *,
     model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,
     law: Annotated[
-        str, typer.Option(help="As of compensate, or model: the actuator itself.")
+        str, typer.Option(help="A law of compensate, or model: the actuator itself.")
     ] = "exact_inverse",
-    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: an FMU around it.")] = "c",
-    fmi: Annotated[int, typer.Option(metavar="2|3", help="Version of the FMU: FMI 2.0 or 3.0.")] = 3,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where the code goes.")] = None,
+    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: the same C code as an FMU.")] = "c",
+    fmi: Annotated[int, typer.Option(metavar="2|3", help="FMI version of the FMU: 2 or 3.")] = 3,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the code.")] = None,
     check: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Make an export again, and compare.")
+        Path | None, typer.Option(metavar="DIR", help="Repeat an export and compare the files.")
     ] = None,
     sample_time: Annotated[
-        float | None, typer.Option(metavar="S", help="Time between samples; that of the model's drive.")
+        float | None, typer.Option(metavar="S", help="Sample time; default: that of the model's drive.")
     ] = None,
     words: LawWords,
     sent: Sent,
@@ -42,7 +42,7 @@ def export(
     from hammerstein.errors import InputError
 
     if (model is None) == (check is None):
-        raise InputError("export", "give a model and --out DIR, or --check DIR alone")
+        raise InputError("export", "give a model and --out DIR, or only --check DIR")
     if check is not None:
         _check(check, as_json)
         return
@@ -72,7 +72,7 @@ def _check(folder: Path, as_json: bool) -> None:
     if as_json:
         tell_json({"check": str(folder), "files": files})
     else:
-        tell(f"{folder}: all {len(files)} files are what its model gives")
+        tell(f"{folder}: all {len(files)} files match the model")
 
 
 def _write(
@@ -92,7 +92,7 @@ def _write(
     from hammerstein.runtime.storage.staging import prepare
 
     if out is None:
-        raise InputError("--out", "name the folder for the code")
+        raise InputError("--out", "name a folder for the code")
     refuse_unwritable("--out", out)
     prepare(out, EXPORT, ALWAYS, overwrite)
     request, loaded = request_of(model, law, sample_time, **given)
@@ -103,4 +103,4 @@ def _write(
         tell_json({"export": str(out), "statements": written.statements, "files": written.files})
         return
     tell_statements(written.statements)
-    tell(f"{', '.join(written.files)} in {out}; make check replays golden.csv")
+    tell(f"{', '.join(written.files)} in {out}; run make check there to replay golden.csv")

@@ -13,7 +13,7 @@ from typer.models import ArgumentInfo
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command an option for each field of its parameters that are dataclasses.
+    """Return a command an option for each field of its parameters that are dataclasses.
 
     >>> from dataclasses import dataclass
     >>> @dataclass

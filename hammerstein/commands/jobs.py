@@ -17,14 +17,12 @@ if TYPE_CHECKING:
 
 Address = Annotated[
     str | None,
-    typer.Option(
-        "--cluster", metavar="ADDRESS", help="Send the work to this Dask scheduler, tcp://HOST:PORT."
-    ),
+    typer.Option("--cluster", metavar="ADDRESS", help="Run on this Dask scheduler, tcp://HOST:PORT."),
 ]
 
-Jobs = Annotated[int, typer.Option(min=1, help="Runs side by side.", show_default="one for each processor")]
+Jobs = Annotated[int, typer.Option(min=1, help="Parallel runs.", show_default="one for each processor")]
 PROCESSORS = processors()
-Yes = Annotated[bool, typer.Option("--yes", help="Start also what takes more than ten minutes.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Start runs of more than ten minutes, too.")]
 
 WORTH_PROCESSES_S = 4.0
 """Time of many short runs, as planned, from which they are worth the start of processes."""
@@ -32,7 +30,7 @@ WORTH_PROCESSES_S = 4.0
 
 @contextmanager
 def workers(jobs: int, cluster: str | None) -> Iterator[parallel_tasks.Jobs]:
-    """Give the workers of a cluster, if there is one, or the jobs of this machine.
+    """Return the workers of a cluster, if there is one, or the jobs of this machine.
 
     Raises InputError where the cluster cannot be used.
     """
@@ -42,12 +40,12 @@ def workers(jobs: int, cluster: str | None) -> Iterator[parallel_tasks.Jobs]:
     from hammerstein.runtime.cluster import joined
 
     with joined(cluster) as crew:
-        complain(f"{crew.workers} workers of {cluster} take the work")
+        complain(f"using {crew.workers} workers of {cluster}")
         yield crew
 
 
 def process_pool(jobs: parallel_tasks.Jobs, seconds: float) -> AbstractContextManager[parallel_tasks.Jobs]:
-    """Give processes for many short runs that take so long together on one processor, as planned.
+    """Return processes for many short runs that take so long together on one processor, as planned.
 
     Threads of one process share Python's interpreter, but begin at once.
     """
@@ -75,5 +73,5 @@ def announce(text: str, seconds: float, yes: bool) -> None:
     if seconds <= TOLD_S:
         return
     if seconds > LONG_S and not yes and sys.stdin.isatty() and sys.stderr.isatty():
-        raise InputError("plan", f"{text}. Or start it with --yes")
+        raise InputError("plan", f"{text}. Or start it anyway with --yes")
     complain(text)

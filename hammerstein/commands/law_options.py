@@ -18,14 +18,16 @@ class LawWords:
 
     filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None
     preview_s: Annotated[
-        float | None, typer.Option("--preview-s", metavar="S", help="How far ahead the reference is known.")
+        float | None, typer.Option("--preview-s", metavar="S", help="How far ahead the path is known.")
     ] = None
     preview: Annotated[float | None, typer.Option("--preview", hidden=True)] = None  # as it was called before
-    softening_v: Annotated[float | None, typer.Option(help="Voltage that spreads the jump.")] = None
-    gain: Annotated[str | None, typer.Option(help="Of inverse_multiplicative: auto or identity.")] = None
+    softening_v: Annotated[float | None, typer.Option(help="Voltage over which drive jumps are spread.")] = (
+        None
+    )
+    gain: Annotated[str | None, typer.Option(help="For inverse_multiplicative: auto or identity.")] = None
     option: Annotated[
         list[str] | None,
-        typer.Option("--option", metavar="KEY=VALUE", help="Any other option of the law, as in a scenario."),
+        typer.Option("--option", metavar="KEY=VALUE", help="Another option of the law, as in a scenario."),
     ] = None
 
     def options(self) -> dict[str, Any]:
@@ -36,7 +38,7 @@ class LawWords:
         from hammerstein.errors import InputError
 
         if self.gain not in (None, "auto", "identity"):
-            what = f"must be auto or identity, not {self.gain!r}; a matrix goes into a scenario"
+            what = f"must be auto or identity, not {self.gain!r}; put a matrix into a scenario"
             raise InputError("--gain", what)
         ahead = self.preview if self.preview_s is None else self.preview_s
         asked = {
@@ -51,7 +53,7 @@ class LawWords:
             if not sign or not name.isidentifier():
                 raise InputError("--option", f"{name + sign!r} has no key or no value; write KEY=VALUE")
             if name in known or name in [other for other, _, _ in own[:i]]:
-                raise InputError("--option", f"{name} is given twice; leave one of them out")
+                raise InputError("--option", f"{name} is given twice; remove one of them")
         return known | {name: _value(words) for name, _, words in own}
 
     @property
@@ -78,14 +80,15 @@ class Sent:
 
     range_v: Annotated[
         str | None,
-        typer.Option("--range", metavar="LOW,HIGH", help="Voltages it may use; those of the records."),
+        typer.Option("--range", metavar="LOW,HIGH", help="Allowed voltages; default: recorded range."),
     ] = None
     start: Annotated[
         str | None,
-        typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path counts from there."),
+        typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path is zero there."),
     ] = None
     conditioned: Annotated[
-        bool, typer.Option("--conditioned", help="It was driven to HIGH, then LOW, before the start.")
+        bool,
+        typer.Option("--conditioned", help="The actuator was driven to HIGH, then LOW, before the start."),
     ] = False
     accept_flagged: Annotated[
         bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
@@ -107,26 +110,25 @@ class Reached:
     """What is done with a path that the drive does not reach as it is."""
 
     lead_in: Annotated[
-        bool, typer.Option("--lead-in", help="Go to the beginning of the path first, from where it stands.")
+        bool,
+        typer.Option("--lead-in", help="First move from the initial position to the start of the path."),
     ] = False
-    offset: Annotated[
-        str | None, typer.Option(metavar="UM[,UM]", help="Added to the positions of the path, in um.")
-    ] = None
+    offset: Annotated[str | None, typer.Option(metavar="UM[,UM]", help="Shift of the path in um.")] = None
     approach_side: Annotated[
         str | None,
         typer.Option(
             "--approach-side",
             metavar="UM[,UM]",
-            help="Reach every hold from one side: -5 from 5 um below, 5 from above. Against backlash.",
+            help="Reach every hold from one side, against backlash: -5 from 5 um below, 5 from above.",
         ),
     ] = None
     units: Annotated[
         str | None,
-        typer.Option("--units", metavar="nm|um|mm", help="Unit of the path, where no column names one."),
+        typer.Option("--units", metavar="nm|um|mm", help="Unit of the path, if its columns name none."),
     ] = None
-    clip: Annotated[bool, typer.Option("--clip", help="Accept a path partly out of reach.")] = False
+    clip: Annotated[bool, typer.Option("--clip", help="Accept a path that is partly out of reach.")] = False
     beyond_records: Annotated[
-        bool, typer.Option("--beyond-records", help="Accept voltages that were never recorded.")
+        bool, typer.Option("--beyond-records", help="Accept voltages beyond the records.")
     ] = False
 
     def terms(self, sent: Sent) -> Terms:
@@ -152,7 +154,7 @@ class Reached:
 
         if self.lead_in or self.offset is not None or self.approach_side is not None:
             options = "--lead-in, --offset, --approach-side"
-            raise InputError(options, "belong to a path, not to --cycle or --table")
+            raise InputError(options, "are for a path, not for --cycle or --table")
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:
@@ -170,4 +172,4 @@ def volts(option: str, words: str | None) -> tuple[float, ...] | None:
     try:
         return tuple(float(word) for word in words.split(","))
     except ValueError:
-        raise InputError(option, f"{words!r} are no numbers with commas between them") from None
+        raise InputError(option, f"{words!r} is no list of numbers with commas between them") from None

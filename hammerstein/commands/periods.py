@@ -30,12 +30,14 @@ class TableRequest(NamedTuple):
         from hammerstein.errors import InputError
 
         if self.device is None and (self.scale is not None or self.points is not None):
-            raise InputError("--table-scale, --table-points", "belong to --table")
+            raise InputError("--table-scale, --table-points", "need --table")
         if self.device is not None and self.device not in DEVICES:
             raise InputError("--table", f"{self.device!r} is not one of {', '.join(DEVICES)}")
         scale = self.factors()
         if scale is not None and (scale[0] == 0.0 or not all(map(math.isfinite, scale))):
-            raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET: finite, the factor not 0")
+            raise InputError(
+                "--table-scale", "must be FACTOR or FACTOR,OFFSET, finite, with a factor other than 0"
+            )
 
     def owner(self) -> Owner:
         """Who writes the file."""
@@ -52,7 +54,7 @@ class TableRequest(NamedTuple):
         if scale is None:
             return None
         if len(scale) > 2:
-            raise InputError("--table-scale", "is FACTOR or FACTOR,OFFSET")
+            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
         return scale[0], scale[1] if len(scale) == 2 else 0.0
 
     def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
@@ -119,7 +121,7 @@ def write_ilc_update(
     deviations = volts("--uncertainty", uncertainty) or ()
     if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
         raise InputError(
-            "--uncertainty", f"{uncertainty!r} are not two relative deviations, such as 0.05,0.01"
+            "--uncertainty", f"{uncertainty!r} must be two relative standard deviations, such as 0.05,0.01"
         )
     found, taught = learn_from_files(
         asked.model,

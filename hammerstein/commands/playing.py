@@ -43,7 +43,7 @@ class Played:
         ]
         if self.with_sensor:
             groups.append(("reading", "um", self.model.outputs, self.response.reading_um))
-        said = f"What model {self.source} does with these voltages, from rest at its working point."
+        said = f"Response of model {self.source} to these voltages, from rest at its working point."
         return drive_csv(self.time_s, groups, [said], tell)
 
     def summary(self) -> dict[str, Any]:
@@ -83,7 +83,8 @@ def played(
         raise InputError(
             str(drive_path),
             f"its times are not evenly spaced: row {int(np.argmax(uneven)) + 2} comes after "
-            f"{np.diff(time_s)[np.argmax(uneven)]:.6g} s, the others after {sample_time_s:.6g} s",
+            f"{np.diff(time_s)[np.argmax(uneven)]:.6g} s, the others after {sample_time_s:.6g} s; "
+            "resample it",
         )
     work = PathWork(len(time_s), sample_time_s, PLAYED_COST)
     work.refuse_too_large(drive_path)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Overwrite = Annotated[
     bool,
-    typer.Option("--overwrite", help="Replace files of others, and edited ones."),
+    typer.Option("--overwrite", help="Replace existing files, also edited ones."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
@@ -33,38 +33,42 @@ class RecordFiles:
     ]
     inputs: Annotated[
         str | None,
-        typer.Option(metavar="COL[,COL]", help="Voltage columns, by name or number; by units if not given."),
+        typer.Option(
+            metavar="COL[,COL]", help="Voltage columns, by name or number; default: by their units."
+        ),
     ] = None
     outputs: Annotated[
-        str | None, typer.Option(metavar="COL[,COL]", help="Displacement columns; by units if not given.")
+        str | None, typer.Option(metavar="COL[,COL]", help="Displacement columns; default: by their units.")
     ] = None
     axes: Annotated[
         str | None,
         typer.Option(
             metavar="NAME[,NAME]",
-            help="Files are pairs of arrays, voltages and displacements, with these axes: sample, channel, "
-            "experiment, period. --inputs and --outputs name variables then.",
+            help="Files are pairs of arrays, voltages then displacements, with these axes: sample, "
+            "channel, experiment, period. --inputs and --outputs then name variables.",
         ),
     ] = None
-    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Samples a second.")] = None
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Sampling rate.")] = None
     time: Annotated[
         str | None,
-        typer.Option(metavar="COL", help="Time column in s, instead of --rate; found by its unit."),
+        typer.Option(metavar="COL", help="Time column in s, instead of --rate; default: by its unit."),
     ] = None
     input_scale: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Factor from the file's number to V; from its unit if not given."),
+        typer.Option(metavar="S", help="Factor from the numbers to V; default: from the unit."),
     ] = None
     output_scale: Annotated[
         float | None,
-        typer.Option(metavar="S", help="Factor from the file's number to um; from its unit if not given."),
+        typer.Option(metavar="S", help="Factor from the numbers to um; default: from the unit."),
     ] = None
     units: Annotated[
         str | None,
-        typer.Option("--units", metavar="nm|um|mm", help="Unit of the displacements, where no name has it."),
+        typer.Option(
+            "--units", metavar="nm|um|mm", help="Unit of the displacements, if their names have none."
+        ),
     ] = None
     accept_gain: Annotated[
-        bool, typer.Option("--accept-gain", help="Take a gain outside 0.001 to 1000 um/V as it is.")
+        bool, typer.Option("--accept-gain", help="Accept a gain outside 0.001 to 1000 um/V.")
     ] = False
 
     def read(self, held: Sequence[Path] | None = None, all_driven: bool = True) -> tuple[Record, ...]:
@@ -93,7 +97,7 @@ class RecordFiles:
         if self.units is None:
             return self.output_scale
         if self.output_scale is not None:
-            raise InputError("--units", "says the same as --output-scale; leave one of them out")
+            raise InputError("--units", "repeats --output-scale; remove one of them")
         return displacement_factor(self.units)
 
     def _named_unit(self) -> bool:
@@ -111,7 +115,7 @@ class RecordFiles:
 
         if len(files) % 2:
             what = "files come in pairs, first voltages, then displacements; "
-            raise InputError("--axes", f"{what}{files[-1]} has no other")
+            raise InputError("--axes", f"{what}{files[-1]} has no partner")
         return zip(files[::2], files[1::2], strict=True)
 
     def _of(self, voltages: Path, displacements: Path, all_driven: bool) -> tuple[Record, ...]:
@@ -120,7 +124,7 @@ class RecordFiles:
         from hammerstein.records.reading import read_paired_records
 
         if self.rate is None or self.time is not None:
-            raise InputError("--axes", "arrays in pairs have no column of time: give --rate, not --time")
+            raise InputError("--axes", "pairs of arrays have no time column: use --rate instead of --time")
         scale = self._scale()
         with told_by_options("axes"):
             return read_paired_records(
@@ -155,14 +159,14 @@ class RecordFiles:
         doubts = doubtful_responses(records)
         unsure = [] if doubts or self._named_unit() else doubtful_units(gains)
         if unsure:
-            raise InputError(records[0].source, f"{unsure[0]}; name the unit once: --units nm, um or mm")
+            raise InputError(records[0].source, f"{unsure[0]}; name the unit: --units nm, um or mm")
         doubts += doubtful_gains(gains) + doubtful_jumps(records)
         if doubts:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()
-            if not (asked and typer.confirm(f"{doubt}. Is that right?", err=True)):
+            if not (asked and typer.confirm(f"{doubt}. Is this right?", err=True)):
                 source = records[0].source if len(records) == 1 else f"{len(records)} records"
-                remedy = "see --inputs, --outputs and their scales, or give --accept-gain if it is right"
+                remedy = "check --inputs, --outputs and their scales, or accept the gain with --accept-gain"
                 raise InputError(source, f"{doubt}; {remedy}")
         return gains
 
@@ -191,7 +195,7 @@ class HeldBack:
         twice = sorted({str(file) for file in self.validate or () if file.resolve() in fitted})
         if twice:
             raise InputError(
-                "--validate", f"{twice[0]} is among the records that are fitted; hold back another one"
+                "--validate", f"{twice[0]} is also a fitted record; use another record for validation"
             )
 
 
@@ -201,10 +205,10 @@ class StaticBlock:
 
     hysteresis: Annotated[
         str,
-        typer.Option(help="Static block: prandtl_ishlinskii, asymmetric, generalised and others."),
+        typer.Option(help="Hysteresis: prandtl_ishlinskii, asymmetric, generalised and others."),
     ] = "prandtl_ishlinskii"
     dead_zones: Annotated[
-        int | None, typer.Option(help="Of each input, with asymmetric; found if not given.")
+        int | None, typer.Option(help="Dead-zones of each input, with asymmetric; default: searched.")
     ] = None
 
 
@@ -212,44 +216,42 @@ class StaticBlock:
 class Identified:
     """How a model is identified; every name is that of a field of the settings."""
 
-    operators: Annotated[
-        str, typer.Option(help="Thresholds of each pair; auto: as many as the records call for.")
-    ] = "auto"
+    operators: Annotated[str, typer.Option(help="Thresholds of each pair; auto: by cross-validation.")] = (
+        "auto"
+    )
     partition: Annotated[
         str,
         typer.Option(
-            help="Thresholds: uniform in time or voltage, fitted to the records, or auto: fitted if it pays."
+            help="Thresholds: uniform in time or voltage, fitted, or auto: fitted if this lowers the error."
         ),
     ] = "auto"
     thresholds: Annotated[
-        str | None, typer.Option(metavar="V[,V]", help="Thresholds in V for all pairs, instead of these.")
+        str | None, typer.Option(metavar="V[,V]", help="Your own thresholds in V, for all pairs.")
     ] = None
     solver: Annotated[
         str, typer.Option(help="Weights: invertible, least_squares, nonnegative or closed_form.")
     ] = "invertible"
-    ridge: Annotated[float, typer.Option(help="Penalty of the weights; 0: none.")] = 0.0
+    ridge: Annotated[float, typer.Option(help="Ridge penalty of the weights; 0: none.")] = 0.0
     dynamics: Annotated[
-        str, typer.Option(help="none, lag, second_order, state_space, or auto: what lowers the error.")
+        str, typer.Option(help="none, lag, second_order, state_space, or auto: lowest error.")
     ] = "auto"
-    order: Annotated[int | None, typer.Option(help="Order of a state-space model; found if not given.")] = (
-        None
-    )
+    order: Annotated[int | None, typer.Option(help="Order of a state-space model; default: searched.")] = None
     creep_modes: Annotated[
         str, typer.Option(help="Slow modes of each axis; auto: one if it lowers the error.")
     ] = "auto"
-    delay_samples: Annotated[int | None, typer.Option(help="Delay of the outputs; found if not given.")] = (
+    delay_samples: Annotated[int | None, typer.Option(help="Delay of the outputs; default: estimated.")] = (
         None
     )
     sensor_bandwidth: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Of the sensor, from its data sheet.")
+        float | None, typer.Option(metavar="HZ", help="Bandwidth of the sensor, from its data sheet.")
     ] = None
     sensor_delay: Annotated[
         float,
-        typer.Option(metavar="SECONDS", help="By which the sensor reports late: kept out of the model."),
+        typer.Option(metavar="SECONDS", help="Known delay of the sensor; excluded from the model."),
     ] = 0.0
 
     accept_order: Annotated[
-        bool, typer.Option("--accept-order", help="Take the columns as named, though an output leads.")
+        bool, typer.Option("--accept-order", help="Accept the columns although an output leads.")
     ] = False
 
     def settings(self, **more: Any) -> Settings:

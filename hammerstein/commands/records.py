@@ -49,10 +49,12 @@ def folder_name(files: Sequence[Path]) -> str:
 @grouped
 def loops(
     recorded: RecordFiles,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figure goes.")] = Path("reports"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="File or folder for the figure.")] = Path(
+        "reports"
+    ),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
     accept_order: Annotated[
-        bool, typer.Option("--accept-order", help="Take the columns as named, though an output leads.")
+        bool, typer.Option("--accept-order", help="Accept the columns although an output leads.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -86,7 +88,7 @@ def loops(
         if turned := turned_backwards(found[record.source]):
             complain(f"{record.source}: {turned}")
         for lost in record.outliers:
-            complain(f"{record.source}: outliers of {lost.column} are left out: {lost.describe()}")
+            complain(f"{record.source}: excluded outliers of {lost.column}: {lost.describe()}")
     if as_json:
         tell_json({"loops": _plain(found)})
     else:
@@ -118,10 +120,7 @@ def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
     shown = {source: telling_loops(loops, MOST_LOOPS) for source, loops in found.items()}
     show(loops_table(shown))
     if (few := sum(map(len, shown.values()))) < (all_ := sum(map(len, found.values()))):
-        tell(
-            f"{few} of {all_} loops: of each pair those that have settled, or the widest; "
-            "--json has all of them"
-        )
+        tell(f"{few} of {all_} loops: for each pair the settled ones, or the widest; --json lists all")
 
 
 @grouped
@@ -138,12 +137,12 @@ def identify(
         ),
     ] = False,
     minutes: Annotated[
-        float, typer.Option(min=0.1, max=1440.0, help="Time for --hysteresis-in-loop.")
+        float, typer.Option(min=0.1, max=1440.0, help="Time limit of --hysteresis-in-loop.")
     ] = 60.0,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the model goes.")] = Path("model.json"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the model.")] = Path("model.json"),
     report: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Where the fit report goes; beside the model if not given."),
+        typer.Option(metavar="DIR", help="Folder for the fit report; default: beside the model."),
     ] = None,
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     overwrite: Overwrite = False,
@@ -162,7 +161,7 @@ def identify(
     if hysteresis_in_loop:
         refuse_output(out, recorded.files, MODEL, overwrite)
         if held.validate:
-            what = "cannot be had with --hysteresis-in-loop, which holds back a third of the records itself"
+            what = "cannot be used with --hysteresis-in-loop, which sets a third of the records aside itself"
             raise InputError("--validate", what)
         _identify_in_loop(recorded, identified.order, minutes, out, as_json)
         return
@@ -206,7 +205,7 @@ def _identify_in_loop(
     records = recorded.read()
     recorded.gains(records)
     kept = out.with_name(f"{out.stem}.search.json")
-    with Spinner(f"searching; {kept} keeps what is found, and the same command goes on from it") as spinner:
+    with Spinner(f"searching; {kept} holds the progress, and the same command continues from it") as spinner:
         model, fit = identify_in_loop(
             records,
             LoopSettings(order, minutes),
@@ -238,7 +237,7 @@ def compensate(
     *,
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
     reference: Annotated[
-        Path, typer.Argument(help="CSV: time_s and one column an axis; in um if it names no unit.")
+        Path, typer.Argument(help="CSV: time_s and one column for each axis; um if no unit is named.")
     ],
     law: Annotated[
         str,
@@ -248,34 +247,38 @@ def compensate(
     ] = "hammerstein_inverse",
     words: LawWords,
     sent: Sent,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the voltages go.")] = Path("drive.csv"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("drive.csv"),
     cycle: Annotated[
         bool,
-        typer.Option("--cycle", help="The path is a period of a periodic one; write one that settled."),
+        typer.Option("--cycle", help="The path is one period; write one settled period."),
     ] = False,
     table: Annotated[
-        str | None, typer.Option(metavar="pi|nv200|csv", help="Write that period as a wave table.")
+        str | None, typer.Option(metavar="pi|nv200|csv", help="Write this period as a wave table.")
     ] = None,
     table_scale: Annotated[
-        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the numbers of the table.")
+        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the unit of the table.")
     ] = None,
-    table_points: Annotated[int | None, typer.Option(min=2, help="Most points of the table.")] = None,
+    table_points: Annotated[
+        int | None, typer.Option(min=2, help="Largest number of points of the table.")
+    ] = None,
     learn: Annotated[
         tuple[Path, Path] | None,
-        typer.Option(metavar="DRIVE MEASURED", help="A trial: write the next drive of the periodic path."),
+        typer.Option(
+            metavar="DRIVE MEASURED", help="Drive and measurement of a trial; writes the next drive."
+        ),
     ] = None,
     before: Annotated[
         tuple[Path, Path] | None,
         typer.Option(
             metavar="DRIVE MEASURED",
-            help="The trial before that of --learn: its drive is kept if the new trial is worse.",
+            help="The previous trial: its drive is kept if the new trial is worse.",
         ),
     ] = None,
     uncertainty: Annotated[
         str | None,
         typer.Option(
             metavar="W,R",
-            help="Deviations of weights and resonances that --learn counts on; 0.05,0.01 if not given.",
+            help="Relative standard deviations of weights and resonances for --learn; default: 0.05,0.01.",
         ),
     ] = None,
     reached: Reached,
@@ -290,9 +293,9 @@ def compensate(
     from hammerstein.errors import InputError
 
     if uncertainty is not None and learn is None:
-        raise InputError("--uncertainty", "says what --learn counts on; give --learn DRIVE MEASURED too")
+        raise InputError("--uncertainty", "applies to --learn; give --learn DRIVE MEASURED too")
     if before is not None and learn is None:
-        raise InputError("--before", "is the trial before that of --learn; give --learn DRIVE MEASURED too")
+        raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
     options = words.options()
     wanted = TableRequest(table, table_scale, table_points)
     wanted.check()
@@ -319,4 +322,4 @@ def compensate(
         return
     show(compensation_table(found))
     tell_statements(found.essentials())
-    tell(f"voltages in {out}, for the stage of model {found.model.origin}; more notes below its columns")
+    tell(f"voltages in {out}, for the stage of model {found.model.origin}; see the notes below its columns")

@@ -28,7 +28,7 @@ def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) 
     from hammerstein.runtime.storage.staging import prepare_file
 
     if any(path.resolve() == out.resolve() for path in inputs):
-        raise InputError("--out", f"{out} is one of the files that are read; choose another name")
+        raise InputError("--out", f"{out} is one of the input files; choose another name")
     prepare_file("--out", out, owner, overwrite)
 
 

@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from hammerstein.scenario import Scenario
     from hammerstein.scenario.assessment import Assessment
 
-Paths = Annotated[list[Path], typer.Argument(metavar="PATH", help="Scenario files, or folders of them.")]
-KEPT = f"in {place}" if (place := folder_of_runs()) else "(nothing is kept here)"
+Paths = Annotated[
+    list[Path], typer.Argument(metavar="PATH", help="Scenario files, or folders with scenario files.")
+]
+KEPT = f"in {place}" if (place := folder_of_runs()) else "(the cache is off)"
 
 
 def run(
@@ -35,7 +37,7 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Where the reports go; the folder reports beside the scenarios, or here."
+            metavar="DIR", help="Folder for the reports; default: reports beside the scenarios, or here."
         ),
     ] = None,
     jobs: Jobs = PROCESSORS,
@@ -43,18 +45,18 @@ def run(
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
     png: Annotated[bool, typer.Option("--png", help="Write figures as PNG, too.")] = False,
     traces: Annotated[
-        str | None, typer.Option(metavar="csv|mat", help="Write every wire of every case.")
+        str | None, typer.Option(metavar="csv|mat", help="Write all signals of every case.")
     ] = None,
     page: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write all figures and judgements on one page there.")
+        Path | None, typer.Option(metavar="DIR", help="Write one page with all figures and judgements.")
     ] = None,
     interactive: Annotated[
-        bool, typer.Option("--interactive", help="Put plots to zoom into on each page.")
+        bool, typer.Option("--interactive", help="Add plots with zoom to each page.")
     ] = False,
     open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help=f"Pass by what earlier runs kept {KEPT}.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help=f"Ignore results of earlier runs {KEPT}.")] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print what would be run, with memory and time; run nothing.")
+        bool, typer.Option("--dry-run", help="Print memory and time of every part; run nothing.")
     ] = False,
     yes: Yes = False,
     overwrite: Overwrite = False,
@@ -123,7 +125,7 @@ def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Ass
 
     kinds = list(dict.fromkeys(type(s.assessment) for s in scenarios if s.assessment is not None))
     if page is not None and not kinds:
-        raise InputError("--page", "no scenario has an [assessment], which fills the page")
+        raise InputError("--page", "no scenario has an [assessment], so the page would be empty")
     return kinds
 
 
@@ -146,7 +148,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwr
     kinds = _assessed((report.scenario for report in reports), None)
     if len(reports) < len(outcomes):
         if kinds:
-            complain("the pages over all reports are not written, because not every scenario has a report")
+            complain("did not write the overview pages, because some scenarios have no report")
     else:
         for kind in kinds:
             kept += kind.write(reports, out, page, overwrite)
@@ -175,7 +177,7 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
             complain(f"{report.name}: {doubt}")
     if reports:
         tell(f"{len(reports)} of {len(outcomes)} reports written in {out}")
-        for line in digest(reports, out) if len(reports) > 1 else [f"look at {_first_page(reports, out)}"]:
+        for line in digest(reports, out) if len(reports) > 1 else [f"open {_first_page(reports, out)}"]:
             tell(line)
 
 
@@ -188,7 +190,7 @@ def _open(page: Path) -> None:
     import webbrowser
 
     if not webbrowser.open(page.resolve().as_uri()):
-        complain(f"no browser could be started; open {page} in one")
+        complain(f"no browser could be started; open {page} yourself")
 
 
 def _run_what_changed(
@@ -225,7 +227,7 @@ def _run_what_changed(
 def _planned(
     scenarios: dict[str, Scenario], jobs: parallel_tasks.Jobs, yes: bool
 ) -> AbstractContextManager[parallel_tasks.Jobs]:
-    """Give the jobs that fit the memory together; what takes long is told, and wants ``--yes`` of a person.
+    """Return the jobs that fit the memory together; what takes long is told, and wants ``--yes`` of a person.
 
     A single scenario that is drawn often has processes; several have one each in any case.
 
@@ -240,7 +242,7 @@ def _planned(
     if isinstance(jobs, int):
         fitting = jobs_that_fit(plans, jobs)
         if fitting < jobs:
-            complain(f"{jobs} jobs do not fit the memory together: {fitting} run side by side")
+            complain(f"{jobs} parallel jobs do not fit into memory: running {fitting}")
         jobs = fitting
     drawn = len(scenarios) == 1 and all(one.uncertainty is not None for one in scenarios.values())
     return process_pool(jobs, whole.seconds if drawn else 0.0)
@@ -257,13 +259,13 @@ def _fail_with(outcomes: list[Outcome]) -> None:
 
 def check(
     paths: Paths,
-    baseline: Annotated[Path, typer.Option(metavar="DIR", help="Where the baselines are.")] = Path(
+    baseline: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the baselines.")] = Path(
         "reports/baseline"
     ),
     update_baseline: Annotated[
         bool, typer.Option("--update-baseline", help="Accept the numbers as the new baseline.")
     ] = False,
-    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the result for CI.")] = None,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a JUnit file for CI.")] = None,
     markdown: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a summary in Markdown.")
     ] = None,
@@ -312,7 +314,7 @@ def check(
 
 def plot(
     path: Annotated[Path, typer.Argument(help="Scenario file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the figures go.")] = Path("reports"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures.")] = Path("reports"),
     jobs: Jobs = PROCESSORS,
     yes: Yes = False,
     overwrite: Overwrite = False,
@@ -327,7 +329,7 @@ def plot(
     from hammerstein.runtime.storage.staging import prepare
 
     if path.is_dir():
-        raise InputError(str(path), "is a folder; give the file of one scenario")
+        raise InputError(str(path), "is a folder; give one scenario file")
     refuse_unwritable("--out", out)
     ((name, scenario),) = load_all([path]).items()
     _planned({name: scenario}, jobs, yes)

@@ -14,13 +14,15 @@ from hammerstein.commands.terminal import show as show_table, tell, tell_json
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to; here if not given.")] = Path("."),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create; default: here.")] = Path(
+        "."
+    ),
     of: Annotated[
         str | None,
         typer.Option(
             "--of",
             metavar="NAME",
-            help="Copy ready scenarios with their accepted numbers: paper, or of a plug-in.",
+            help="Copy scenarios with their accepted numbers: paper, or those of a plug-in.",
         ),
     ] = None,
 ) -> None:
@@ -61,7 +63,7 @@ def show(
 
 
 def guide(
-    topic: Annotated[str | None, typer.Argument(help="Name of a page; all are listed if not given.")] = None,
+    topic: Annotated[str | None, typer.Argument(help="Page to show; default: list of all pages.")] = None,
 ) -> None:
     """Read the guide."""
     from hammerstein.commands.terminal_tables import facts_table
@@ -73,7 +75,7 @@ def guide(
         show_table(facts_table("hammerstein guide TOPIC", titles))
         return
     if topic not in pages:
-        raise InputError("guide", f"has no page {topic!r}; pages are {', '.join(pages)}")
+        raise InputError("guide", f"has no page {topic!r}; the pages are {', '.join(pages)}")
     text = pages[topic].read_text(encoding="utf-8")
     if not sys.stdout.isatty():
         tell(text.rstrip())
@@ -101,11 +103,11 @@ def _title(page: Path) -> str:
 def play(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
     drive: Annotated[
-        Path, typer.Argument(help="CSV: time_s and one column an input; in V if it names no unit.")
+        Path, typer.Argument(help="CSV: time_s and one column for each input; V if no unit is named.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the positions go.")] = Path("played.csv"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the positions.")] = Path("played.csv"),
     sensor: Annotated[
-        bool, typer.Option("--sensor", help="Through the model's converter and sensor, noise included.")
+        bool, typer.Option("--sensor", help="Simulate the model's converter and sensor, with noise.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,

@@ -29,13 +29,15 @@ LINES_AT_ONCE = 1000  # of a Parquet file
 
 def sweep(
     path: Annotated[Path, typer.Argument(help="Scenario file with a table [study].")],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows, as .csv or .parquet.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File for the rows, .csv or .parquet.")
+    ] = None,
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Pass by what earlier runs kept.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Ignore results of earlier runs.")] = False,
     overwrite: Overwrite = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print how many runs there are, and the time; run nothing.")
+        bool, typer.Option("--dry-run", help="Print the number of runs and the time; run nothing.")
     ] = False,
     yes: Yes = False,
 ) -> None:
@@ -70,7 +72,7 @@ def sweep(
     if store is not None and store.problem:
         complain(store.problem)
     if failed:
-        complain(f"{failed} of {study.count()} runs were not possible; the column error says why")
+        complain(f"{failed} of {study.count()} runs failed; see the column error")
     tell(f"{study.count()} runs written in {table_file}")
 
 
@@ -83,7 +85,7 @@ def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
     if dry_run:
         return None
     if out is None:
-        raise InputError("--out", "is missing; give the file that the rows go to, as .csv or .parquet")
+        raise InputError("--out", "is missing; give a file for the rows, .csv or .parquet")
     prepare_file("--out", out, SWEEP, overwrite)
     return out
 
@@ -93,7 +95,7 @@ def _scenario_of(path: Path) -> Scenario:
     from hammerstein.experiment.batch import load_all
 
     if path.is_dir():
-        raise InputError(str(path), "is a folder; give the file of one scenario")
+        raise InputError(str(path), "is a folder; give one scenario file")
     ((_, scenario),) = load_all([path]).items()
     return scenario
 
@@ -156,7 +158,7 @@ def _alone(out: Path) -> Iterator[None]:
             with contextlib.suppress(OSError):
                 (place / "locks").mkdir(mode=0o700, parents=True, exist_ok=True)
                 held.enter_context(
-                    locked(place / "locks" / name, 0.0, ("--out", f"{out} is written by another sweep"))
+                    locked(place / "locks" / name, 0.0, ("--out", f"another sweep is writing {out}"))
                 )
         yield
 

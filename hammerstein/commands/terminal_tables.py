@@ -57,7 +57,7 @@ def _table(title: str, columns: Sequence[str]) -> Table:
 def result_table(reports: Iterable[Report]) -> Table:
     """One line for each scenario and compensator or model: what a person looks at first."""
     columns = ("scenario", "compensator", "frequency_hz", "rms_um", "max_um", "max_true_um", "saturated")
-    table = _table("Worst figures of each scenario, over its direct transfers and paths", columns)
+    table = _table("Worst error of each scenario, over its direct transfers and paths", columns)
     for report in reports:
         for label in dict.fromkeys(row.compensator for row in report.rows):
             own = [row for row in report.rows if row.compensator == label]
@@ -70,7 +70,7 @@ def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
     """One line for each part of each scenario: what it is, memory, time; at the end all of them."""
     from hammerstein.quantities import duration, size
 
-    table = _table("What would be run, nothing of it found among kept results", PLANNED)
+    table = _table("Planned runs, without cached results", PLANNED)
     for name, plan in plans.items():
         for part in plan.parts:
             table.add_row(name, part.what, "", size(part.bytes), duration(part.seconds))
@@ -120,7 +120,7 @@ def judgement_tables(reports: Sequence[Report]) -> Iterator[Table]:
 
 
 def compensation_table(found: Compensation) -> Table:
-    """One line an axis: voltages, samples at the range, reference, predicted error."""
+    """One line for each axis: voltages, samples at the range, reference, predicted error."""
     summary = found.summary()
     intervals = ("reference_um",)
     names = (*intervals, "predicted_max_um")
@@ -169,7 +169,7 @@ def rates_table(found: Comparison) -> Table:
     """One line a model: its error at the frequency of each record."""
     where = "validation" if found.held else "fitted"
     rates = [f"{hz:g} Hz" for hz in found.frequencies_hz]
-    table = _table(f"Errors on records {where}, in % of the range there", ("", "model", *rates))
+    table = _table(f"Errors on records {where}, in % of their range", ("", "model", *rates))
     for entry in found.entries:
         marked = RECOMMENDED if entry.name == found.recommended else ""
         at = [f"{score.mean_percent:.3g}" for score in entry.judged_at.values()]
@@ -193,7 +193,7 @@ def failed_table(found: Comparison) -> Table:
 
 def gains_table(gains: Sequence[Gain]) -> Table:
     """One line a pair: how far the voltage went, how far the output, and their ratio."""
-    table = _table("What the records hold", ("input", "output", "", "span_v", "span_um", "gain_um_per_v"))
+    table = _table("Content of the records", ("input", "output", "", "span_v", "span_um", "gain_um_per_v"))
     for gain in gains:
         numbers = (gain.span_v, gain.span_um, gain.um_per_v)
         table.add_row(gain.input, gain.output, "", *(f"{number:.4g}" for number in numbers))
@@ -240,4 +240,4 @@ def played_table(found: Played) -> Table:
 
 def kept_aside(place: Path) -> str:
     """Say that a file which a person had changed has another name now."""
-    return f"{place} is what was changed by hand in an earlier result"
+    return f"{place} is a result that you edited; a copy was kept"

@@ -60,7 +60,7 @@ def folder_of(assessment: str, target: Path) -> None:
     load_plugins()
     brought = {name: files for name, kind in ASSESSMENTS.kinds.items() if (files := kind.shipped())}
     if assessment not in brought:
-        raise InputError("--of", f"nothing of {assessment!r} is there; give one of {', '.join(brought)}")
+        raise InputError("--of", f"nothing is available for {assessment!r}; give one of {', '.join(brought)}")
     with _made(target) as room:
         for name, file in brought[assessment].items():
             _copy(file, room / name)
@@ -124,9 +124,7 @@ def refuse_existing(target: Path, files: list[Path]) -> None:
     there += sorted(f.as_posix() for f in folders if (target / f).is_symlink() or (target / f).is_file())
     if there:
         listed = ", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
-        raise InputError(
-            str(target), f"holds {listed} already; give a folder that does not: nothing was written"
-        )
+        raise InputError(str(target), f"already holds {listed}; nothing was written. Choose another folder")
 
 
 def refuse_started(target: Path) -> None:

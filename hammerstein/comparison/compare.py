@@ -43,20 +43,20 @@ def compare(
 ) -> Comparison:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one.
 
-    Each kind is fitted without a linear block and, where plays have one, with that. What a kind cannot do is
-    told in its place. All compensators are judged on one and the same model, the best of all.
+    Each kind is fitted without a linear block and, if the plays have one, with the same one. Limits of a kind
+    are listed with it. All compensators drive the same model, the best one.
 
     Parameters
     ----------
     records : experiments on one actuator, as for ``identify``
     settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
     validation : validation records: reported, never used to choose
-    jobs : identifications side by side, each a process, or an executor of ``concurrent.futures``
-    progress : told what is being done, how many identifications are done, and of how many
+    jobs : number of parallel processes, or an executor of ``concurrent.futures``
+    progress : called with the current step, the number of finished identifications, and their total
 
     Returns
     -------
-    what was found: errors, parameters, times, inverses, and the recommendation by ``result.RULE``
+    errors, parameters, times, inverses, and the recommendation by ``result.RULE``
 
     Raises
     ------

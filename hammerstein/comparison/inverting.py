@@ -57,7 +57,7 @@ def inverse_of(model: HammersteinModel, sample_time_s: float) -> Inverse:
     try:
         other = InverseMultiplicative()
         other.design(model, _range(model), sample_time_s)
-        return Inverse(other, False, f"{other.law}; no exact one: {why}")
+        return Inverse(other, False, f"{other.law}; no exact inverse: {why}")
     except HammersteinError:
         return Inverse(None, False, f"none: {why}")
 
@@ -80,7 +80,7 @@ def left_by(one: Fitted, law: Inverse, other: Fitted, records: Sequence[Record])
     if law.options is None:
         return Left(reason=law.words)
     if other is one:
-        return Left(law.options.law, reason="it stands for the actuator")
+        return Left(law.options.law, reason="this model replaces the actuator")
     errors, spans, held = [], [], []
     try:
         for record in records:

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 FORMAT = "hammerstein-comparison/1"
 RULE = (
-    f"The recommended model has the fewest parameters of those whose rms error is {CLOSE}; one without an "
-    "inverse only where none with an inverse is as good, which is one that is within "
-    f"{100.0 * FELT:.0f} % or one standard error. Errors are those on parts of the fitted records that are "
-    "left out in turn, so that the validation records choose nothing: their error stands beside it. The "
-    "standard error is that of the mean difference of the squared errors to the best model over these folds: "
-    f"of {PARTS} parts of each record every fourth is one fold."
+    f"The recommended model has the fewest parameters of those whose rms error is {CLOSE}. A model "
+    "without an inverse is recommended only if no invertible model is as good, within "
+    f"{100.0 * FELT:.0f} % or one standard error. These are cross-validation errors on the fitted "
+    "records; the validation records do not affect the choice. Standard errors are those of the mean "
+    f"difference of the squared errors to the best model over the folds: each record has {PARTS} "
+    "parts, and every fourth part belongs to one fold."
 )
 
 
@@ -104,7 +104,7 @@ class Compared:
         return self.held_at or self.fitted_at
 
     def as_dict(self) -> dict[str, Any]:
-        """Give plain values for JSON: all but the times, which no two runs share."""
+        """Return plain values for JSON: all but the times, which no two runs share."""
         own = ("name", "hysteresis", "dynamics", "parameters", "as_good", "has_inverse", "inverse")
         plain: dict[str, Any] = {name: getattr(self, name) for name in own}
         plain["folds_percent"] = finite(self.folds_percent)
@@ -127,11 +127,11 @@ class Comparison:
     ----------
     entries : the models, simplest first
     failed : kinds that could not be fitted, and why
-    best : name of the model with the least error
+    best : name of the model with the lowest error
     recommended : name of the model that ``RULE`` recommends
     inputs, outputs : names of the axes
     records, held : names of fitted and validation records
-    frequencies_hz : of the records, one for those alike [Hz]
+    frequencies_hz : frequencies of the records, each once [Hz]
     """
 
     entries: tuple[Compared, ...]
@@ -153,37 +153,43 @@ class Comparison:
         return tuple(self.entries[0].judged_at)
 
     def sentences(self) -> list[str]:
-        """Say what is recommended and why, then what a reader must know."""
+        """Recommendation with its reason, then warnings."""
         chosen, best = self[self.recommended], self[self.best]
-        where = "on the validation records" if self.held else "on the fitted records themselves"
+        where = "on the validation records" if self.held else "on the fitted records"
         count = f"{chosen.parameters} parameter{'s' * (chosen.parameters != 1)}"
         said = [
-            f"Recommended: {chosen.name}, {count}; its error is {chosen.judged.mean_percent:.3g} % of the "
-            f"range {where}, and {chosen.folds_percent:.3g} % on parts of the fitted ones that were left out."
+            f"Recommended: {chosen.name}, {count}. Its error is {chosen.judged.mean_percent:.3g} % of "
+            f"the range {where}, its cross-validation error {chosen.folds_percent:.3g} %."
         ]
         if best is not chosen:
             said.append(
-                f"{best.name} has {best.folds_percent:.3g} % there with {best.parameters}: {NO_BETTER}."
+                (
+                    f"{best.name}, with {best.parameters} parameters, has a cross-validation error of "
+                    f"{best.folds_percent:.3g} %: {NO_BETTER}."
+                )
                 if chosen.as_good
-                else f"{best.name} has {best.folds_percent:.3g} % there, but no inverse."
+                else (
+                    f"{best.name} has a cross-validation error of {best.folds_percent:.3g} %, but no inverse."
+                )
             )
         if not self.held:
             said.append(
-                "No validation record was given, so that the error on other records is not known: give one "
-                "with --validate before you rely on this."
+                "There is no validation record, so the error on other records is unknown: add one "
+                "with --validate before you rely on this model."
             )
         left, own = chosen.left.percent, chosen.judged.mean_percent
         if left is not None and left > MUCH_LEFT * own:
             said.append(
-                f"Its compensator leaves {left:.3g} % of the path on {chosen.left.on}, far more than its own "
-                "error: what it predicts well it does not invert well."
+                f"Its compensator leaves an error of {left:.3g} % of the path on {chosen.left.on}, "
+                "much more than its prediction error: the model predicts well, but its inverse is "
+                "inaccurate."
             )
         if chosen.flags:
-            said.append(f"It does not represent these records: {'; '.join(chosen.flags)}.")
+            said.append(f"It cannot represent these records: {'; '.join(chosen.flags)}.")
         return said
 
     def as_dict(self) -> dict[str, Any]:
-        """Give plain values for JSON."""
+        """Return plain values for JSON."""
         return {
             "format": FORMAT,
             "recommended": self.recommended,

@@ -70,20 +70,20 @@ def sensorless_law(
     compensator = compensator_of(law, options)
     built = compensator.design(model, limits, sample_time_s)
     if not isinstance(built, Law):
-        what = f"{compensator.law} needs the sensor's readings: it has no drive to send ahead"
+        what = f"{compensator.law} needs the sensor's readings, so it has no drive to send in advance"
         raise InputError("--law", what)
     return built
 
 
 def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
-    """Give the compensator that is named, with its options, or that is there already.
+    """Return the compensator that is named, with its options, or that is there already.
 
     Raises InputError for an unknown law or option.
     """
     if isinstance(law, Compensator):
         if options:
             names = ", ".join(sorted(options))
-            raise InputError("compensate", f"give {names} to {type(law).__name__} itself")
+            raise InputError("compensate", f"pass {names} to {type(law).__name__} itself")
         return law
     given = {name: value for name, value in options.items() if value is not None}
     try:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Compensator(Strict, ABC):
-    """A compensator by its options, as a scenario names it; to be frozen, with no key that it does not know.
+    """Options of a compensator, as in a scenario: frozen, without unknown keys.
 
     To add one, derive from this class, give it a field ``law: Literal["its name"]`` with that default, and
     register it.
@@ -35,7 +35,7 @@ class Compensator(Strict, ABC):
 
         Parameters
         ----------
-        model : what is known of the actuator
+        model : model of the actuator
         range_v : range of the drive [V], see ``DriveRange.of``
         sample_time_s : time between samples [s]
 

@@ -88,13 +88,13 @@ class Cycle:
         step, jump = self.largest_steps_v()
         seconds = self.run_up_v.shape[1] * self.sample_time_s
         said = [
-            f"Model {self.source} ({self.model.origin}). One settled period of {self.period_s:.6g} s, to be "
-            "played again and again; after the last row the first one follows.",
+            f"Model {self.source} ({self.model.origin}). One settled period of {self.period_s:.6g} s "
+            "to repeat: after the last row, the first row follows.",
             *verdict_statements(self.model),
-            f"Run-up of {seconds:.6g} s from {_volts(self.limits.start_v)} to the period, to be sent once. "
-            f"Largest step {step:.3g} V; without the run-up the first one is {jump:.3g} V.",
-            f"Error if the actuator were exactly the model: settled (period {PLAYED_PERIODS}) {settled}; "
-            f"first period after the run-up, ringing included, {first}. The settled position repeats "
+            f"Run-up of {seconds:.6g} s from {_volts(self.limits.start_v)} to the period; send it "
+            f"once. Largest step {step:.3g} V; without the run-up the first step is {jump:.3g} V.",
+            f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
+            f"first period after the run-up, with ringing, {first}. The settled position repeats "
             f"within {self.closure_um:.2g} um.",
         ]
         return [*said, self.statement] if self.statement else said
@@ -103,7 +103,7 @@ class Cycle:
         """Text of the file of the run-up: times end where the period begins."""
         samples = self.run_up_v.shape[1]
         time_s = np.arange(-samples, 0, dtype=np.float64) * self.sample_time_s
-        said = ["Run-up: send it once, then the period again and again. Absolute, in V.", *self.statements()]
+        said = ["Run-up: send it once, then repeat the period. Absolute voltages in V.", *self.statements()]
         return drive_csv(time_s, (("drive", "v", self.model.inputs, self.run_up_v),), said)
 
     def to_csv(self) -> str:
@@ -171,9 +171,9 @@ class Design:
         at_range = int(limits.reached(asked_v).any(axis=0).sum())
         if at_range and not terms.clip:
             raise SimulationError(
-                f"{self.path}: the path is out of reach: its drive is at the range in {at_range} of "
-                f"{asked_v.shape[1]} samples of a settled period, {limits.words(model.inputs)} (--range). "
-                "Make it smaller or slower, or accept it with --clip."
+                f"{self.path}: the path is out of reach. Its drive is at the limit in {at_range} of "
+                f"{asked_v.shape[1]} samples of a settled period, with {limits.words(model.inputs)} "
+                "(--range). Make it smaller or slower, or accept it with --clip."
             )
         ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
         sent, _ = model.instruments.drive.model_copy(update={"range_v": ends}).apply(asked_v)
@@ -205,7 +205,7 @@ def design_of(
     limits = allowed_range(model, terms)
     time_s = model.instruments.drive.sample_time_s
     _, reference, _ = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units)
-    onlooker.tell("designing the period")
+    onlooker.tell("computing the period")
     built = sensorless_law(law, options, model, limits, time_s)
     return Design(model, limits, built, reference, source, str(path))
 
@@ -253,7 +253,7 @@ def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
         f"The drive still changes by {change:.3g} V from one period to the next after "
         f"{turns * TRIED_PERIODS[-1]} periods. "
         + (
-            "The model has creep, which does this: use a model without creep for a table."
+            "Creep in the model causes this: use a model without creep for a table."
             if any(axis.creep for axis in getattr(model.dynamics, "axes", ()))
             else "Use a law without dynamics, such as exact_inverse, or a longer period."
         )

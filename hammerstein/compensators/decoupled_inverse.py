@@ -52,9 +52,9 @@ def inverse_pair(pair: Pair, axis: str = "pair") -> Pair:
     if (s <= 0).any():
         j = int(np.argmax(s <= 0))
         raise SimulationError(
-            f"{axis} has no inverse: its slope is {s[j]:.3g} um/V once {j + 1} operators move "
-            f"(threshold {r[j]:.3g} V). Phase lag identified as hysteresis does this; identify at a lower "
-            "frequency or by bounded partial sums."
+            f"{axis} has no inverse: its slope is {s[j]:.3g} um/V when {j + 1} operators move "
+            f"(threshold {r[j]:.3g} V). This happens if phase lag is identified as hysteresis; "
+            "identify at a lower frequency, or with bounded partial sums."
         )
     thresholds = np.array([w[: j + 1] @ (r[j] - r[: j + 1]) for j in range(len(r))])
     weights = np.concatenate([[1.0 / w[0]], -w[1:] / (s[1:] * s[:-1])])
@@ -73,7 +73,7 @@ class DecoupledInverseLaw(Law[InverseState]):
         if not isinstance(hysteresis, PrandtlIshlinskii):
             raise InputError(
                 "decoupled_inverse",
-                f"inverts plays alone; the model's hysteresis is of kind {hysteresis.kind!r}",
+                f"inverts plays only; the model's hysteresis is of kind {hysteresis.kind!r}",
             )
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "decoupled_inverse")
         m = self.n_inputs = self.n_outputs = hysteresis.n_inputs
@@ -152,7 +152,7 @@ def _alone(direct: Sequence[Pair]) -> PrandtlIshlinskii:
 
 
 class DecoupledInverse(Compensator):
-    """The analytic inverse of each direct transfer (paper, reference 20)."""
+    """Analytic inverse of each direct transfer, without cross-coupling (paper, reference 20)."""
 
     static: ClassVar[bool] = True
     law: Literal["decoupled_inverse"] = "decoupled_inverse"

@@ -47,14 +47,14 @@ class DegaussDrive:
         said = [
             f"Degauss drive of model {self.model.origin}: {self.signal.cycles} falling periods at "
             f"{self.signal.frequency_hz:g} Hz about {volts}.",
-            f"Difference between the two ends of the range as history: {left}.",
+            f"Position difference between histories from the two ends of the range: {left}.",
         ]
         if np.allclose(middle, working):
-            said.append("The model then starts at rest, as compensate takes it.")
+            said.append("Afterwards the model starts at rest, as compensate assumes.")
         else:
             said.append(
-                "It ends in the middle of the range, not at the working point of the model: record the "
-                "actuator from there, so that the model starts there, too."
+                "It ends in the middle of the range, not at the working point of the model: record "
+                "the actuator from there, so that the model also starts there."
             )
         return said
 
@@ -90,7 +90,7 @@ def degauss_drive(
     """
     limits = allowed_range(model, terms or Terms())
     if not np.isfinite(limits.span_v).all():
-        raise InputError("--range", "has no ends to alternate between; give LOW,HIGH")
+        raise InputError("--range", "has no ends for the alternation; give LOW,HIGH")
     step = model.instruments.drive.sample_time_s
     if frequency_hz * step > 1.0 / MIN_POINTS:
         raise InputError("--frequency", f"must be at most {1.0 / (MIN_POINTS * step):g} Hz on {step:g} s")

@@ -52,7 +52,7 @@ def drive_csv(
         names += [column(word, axis, unit) for axis in axes]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InputError("drive file", f"two columns would be called {twice[0]}; rename the model's axes")
+        raise InputError("drive file", f"two columns would have the name {twice[0]}; rename the model's axes")
     columns = [time_s, *(row for *_, rows in groups for row in rows)]
     text = []
     for first in range(0, max(len(time_s), 1), ROWS_AT_ONCE):

@@ -27,7 +27,7 @@ from hammerstein.runtime.storage.manifest import Owner
 
 DRIVE = Owner("drive", single=True)
 
-HEADING = "Voltages to send, as they are: absolute, in V. Times in s, positions in um."
+HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class Compensation:
         return {name: int(n) for name, n in zip(self.model.inputs, counts, strict=True)}
 
     def summary(self) -> dict[str, Any]:
-        """Give voltages, reach, predicted error and what was not reached, as plain JSON."""
+        """Return voltages, reach, predicted error and what was not reached, as plain JSON."""
         axes = {
             name: {
                 "reach_alone_um": self.reach.alone_um[o].tolist(),
@@ -131,7 +131,7 @@ class Compensation:
         said.append(self._expected())
         if self.attempt.lead:
             seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])
-            said.append(f"The first {seconds:.4g} s lead from the initial position to the start of the path.")
+            said.append(f"The first {seconds:.4g} s move from the initial position to the start of the path.")
         said += [text] if (text := self.law.statement()) else []
         return said + self._path_statements()
 
@@ -143,14 +143,14 @@ class Compensation:
         said = [self.approach] if self.approach else []
         if self.held:
             said.append(
-                "The drive is held at the range where the path asks for more: that costs less than the "
-                "model's own error."
+                "The drive stays at the limit of its range where the path needs more; the error of "
+                "this is below the model error."
             )
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
         if self.resampled:
             said.append(
-                "The file was interpolated linearly onto the drive's sample time; corners may need filter_hz."
+                "The path was interpolated linearly onto the drive's sample time; corners may need filter_hz."
             )
         return said
 
@@ -159,13 +159,13 @@ class Compensation:
         limits, names = self.law.range, self.model.inputs
         start = ", ".join(f"{u:.6g} V on {n}" for n, u in zip(names, limits.start_v, strict=True))
         rest = ", ".join(f"{u:.6g} V" for u in limits.working_point_v)
-        text = f"Initial state, from which the path counts: {start}, "
+        text = f"Initial state, where the path is zero: {start}, "
         if limits.conditioned:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
-            return f"{text}driven to {top}, then to {low}, then straight to there."
+            return f"{text}driven to {top}, then to {low}, then directly to the start."
         if (limits.start_v == limits.working_point_v).all():
-            return f"{text}at rest, as if it had never been driven."
-        return f"{text}at rest at {rest} before, then straight to there."
+            return f"{text}at rest, without history."
+        return f"{text}at rest at {rest} before, then directly to the start."
 
     def to_csv(self, tell: Tell | None = None) -> str:
         """Text of the drive file: time, voltages to send, reference, predicted position.
@@ -228,7 +228,7 @@ def compensate(
     terms: Terms | None = None,
     onlooker: Onlooker = UNWATCHED,
 ) -> Compensation:
-    """Voltages for a reference file (``time_s`` and one column an axis, in um).
+    """Voltages for a reference file (``time_s`` and one column for each axis, in um).
 
     The voltages are absolute. The positions of the file count from where the actuator stands at the start.
 
@@ -253,7 +253,7 @@ def compensate(
     time_s, reference, resampled = read_path(
         reference_path, model, sample_time_s, onlooker=onlooker, units=terms.units
     )
-    onlooker.tell("designing the drive")
+    onlooker.tell("computing the drive")
     try:
         found = compensation_of(model, reference, law, options, terms, source)
     except SimulationError as error:
@@ -288,7 +288,7 @@ def compensation_of(
     if not (terms.clip or held or found.predicted.complete):
         moved_already = terms.offset_um is not None
         missed = Missed(model, limits, compensator, path, found, own, reachable, moved_already)
-        ends = f"With {limits.words(model.inputs)} (--range), counted from the start (--start):"
+        ends = f"With {limits.words(model.inputs)} (--range), relative to the start (--start):"
         raise SimulationError(
             f"out of reach: {missed.statement()}\n{ends} {reachable.statement(model.outputs)}"
         )
@@ -325,8 +325,8 @@ def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
     if verdict is not None and verdict.flagged and not terms.accept_flagged:
         what = "; ".join(verdict.statements) or "see its fit report"
         raise IdentificationError(
-            f"{path}: its own fit report flags this model: {what}. Identify it again, or send its voltages "
-            "all the same with --accept-flagged."
+            f"{path}: its own fit report flags this model: {what}. Identify it again, or use it "
+            "anyway with --accept-flagged."
         )
 
 
@@ -346,8 +346,8 @@ def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
         k = int(np.argmax(wide))
         raise InputError(
             "--range",
-            f"{low[k]:g} to {high[k]:g} V is more than the drive in the model file gives on "
-            f"{model.inputs[k]}, {own[0, k]:g} to {own[1, k]:g} V",
+            f"{low[k]:g} to {high[k]:g} V exceeds the range of {model.inputs[k]} in the model file, "
+            f"{own[0, k]:g} to {own[1, k]:g} V",
         )
     if terms.start_v is not None and len(terms.start_v) not in (1, m):
         raise InputError("--start", f"names {len(terms.start_v)} voltages; the model has {m} inputs")
@@ -364,15 +364,15 @@ def _asked_range(model: HammersteinModel, given: tuple[float, ...], m: int) -> A
         low, high = model.recorded.lowest_v[k], model.recorded.highest_v[k]
         raise InputError(
             "--range",
-            f"{given[0]:g} would mean {-given[0]:g} to {given[0]:g} V, but {model.inputs[k]} was recorded "
-            f"on one side, from {low:.6g} to {high:.6g} V; give LOW,HIGH",
+            f"{given[0]:g} means {-given[0]:g} to {given[0]:g} V, but {model.inputs[k]} was recorded "
+            f"on one side only, from {low:.6g} to {high:.6g} V; give LOW,HIGH",
         )
     if len(given) not in (1, 2, 2 * m):
         raise InputError("--range", f"has {len(given)} numbers; give LOW,HIGH, or one pair for each input")
     pairs = np.reshape(given if len(given) > 1 else (-given[0], given[0]), (-1, 2))
     ends = np.broadcast_to(pairs, (m, 2)).T
     if not (np.isfinite(ends).all() and (ends[0] < ends[1]).all()):
-        raise InputError("--range", "must be finite voltages, each LOW below its HIGH, or one N above 0")
+        raise InputError("--range", "must be finite voltages, each LOW below its HIGH, or a single N above 0")
     return np.asarray(ends, dtype=np.float64)
 
 
@@ -388,7 +388,7 @@ def refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
         outside = (row < low) | (row > high)
         if outside.any():
             raise SimulationError(
-                f"The drive goes from {row.min():.6g} to {row.max():.6g} V on {name}; the records behind the "
-                f"model cover {low:.6g} to {high:.6g} V, {int(outside.sum())} of {row.size} samples lie "
-                "outside. Record that range too, or accept it with --beyond-records."
+                f"The drive goes from {row.min():.6g} to {row.max():.6g} V on {name}, but the records "
+                f"cover {low:.6g} to {high:.6g} V; {int(outside.sum())} of {row.size} samples are "
+                "outside. Record this range too, or accept it with --beyond-records."
             )

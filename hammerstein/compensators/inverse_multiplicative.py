@@ -63,8 +63,8 @@ class Convergence:
             return f"{text}."
         time_s = -self.pass_s / math.log(self.spectral_radius)
         return (
-            f"{text} with the filter; an error dies out with a time constant of {1e3 * time_s:.3g} ms, which "
-            "a path must be slow against."
+            f"{text} with the filter; an error decays with a time constant of {1e3 * time_s:.3g} "
+            "ms, which must be short compared with the path."
         )
 
 
@@ -166,8 +166,8 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
     def _remedy(self) -> str:
         if self.convergence.slope_min_um_per_v <= 0:
             return (
-                "The direct slope of the model falls to zero or below, as when phase lag is identified as "
-                "hysteresis. Identify at a lower frequency, or set run_anyway = true."
+                "The direct slope of the model is zero or negative. This happens if phase lag is "
+                "identified as hysteresis. Identify at a lower frequency, or set run_anyway = true."
             )
         filtered = self.convergence.pass_s is not None
         slower = " (a slower filter converges too, but overshoots)" if filtered else ""
@@ -247,14 +247,14 @@ def _auto_gain(hysteresis: Hysteresis[Any], amplitude_v: float, slopes: Array) -
     last = [slopes_of(hysteresis, k, amplitude_v)[-1] for k in range(hysteresis.n_inputs)]
     summed = np.stack(last, axis=1)
     if abs(np.linalg.det(summed)) < 1e-12 * np.abs(summed).max() ** len(summed):
-        raise SimulationError("The summed weights form a singular matrix: the model has no automatic gain.")
+        raise SimulationError("The summed weights form a singular matrix, so there is no automatic gain.")
     inverse = np.linalg.inv(summed)
     largest = np.linalg.eigvals(inverse @ slopes).real.max()
     return np.asarray(inverse / largest)
 
 
 class InverseMultiplicative(Compensator):
-    """The paper's compensator without inversion (Theorem 4.1)."""
+    """The paper's law without inversion (Theorem 4.1)."""
 
     static: ClassVar[bool] = True
     law: Literal["inverse_multiplicative"] = "inverse_multiplicative"
@@ -264,9 +264,9 @@ class InverseMultiplicative(Compensator):
         default="auto", description='"identity" (as printed), "auto" (from the slopes), or a matrix in V/um'
     )
     filter_s: TimeConstant | None = Field(
-        default=None, description="time constant of a first-order filter in place of the one-sample delay"
+        default=None, description="time constant of a first-order filter instead of the one-sample delay"
     )
-    iterations: Passes = Field(default=1, description="passes of the law in each sample")
+    iterations: Passes = Field(default=1, description="iterations in each sample")
     run_anyway: bool = Field(default=False, description="accept an iteration that cannot converge")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:

@@ -44,7 +44,7 @@ class NoCompensationLaw(Law[Memory]):
         return (drive, state) if sound else None
 
     def rest(self) -> Memory:
-        """Give the empty state."""
+        """Return the empty state."""
         return Memory()
 
     def _respond(self, reference_um: Array, start: Memory) -> tuple[Array, Memory]:

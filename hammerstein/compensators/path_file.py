@@ -62,8 +62,8 @@ class PathWork:
         if self.bytes > free:
             raise SimulationError(
                 f"{path}: {self.samples:,} samples of {self.sample_time_s:g} s need about "
-                f"{size(self.bytes)} of memory, and {size(free)} are free. Cut the path into parts. If its "
-                "times are not in s, name their unit in the header, such as t [ms]."
+                f"{size(self.bytes)} of memory, but {size(free)} are free. Cut the path into parts. "
+                "If its times are not in s, name their unit in the header, such as t [ms]."
             )
 
 

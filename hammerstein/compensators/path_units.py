@@ -48,7 +48,7 @@ def in_um(
     if units is not None:
         factor = displacement_factor(units)
         if not bare:
-            raise InputError("--units", f"the columns of {path} name their units: {', '.join(names)}")
+            raise InputError("--units", f"the columns of {path} already name their units: {', '.join(names)}")
         values = values.copy()
         values[bare] *= factor
     elif bare:
@@ -65,7 +65,7 @@ def _refuse_doubtful(path: Path, bare: Sequence[str], values: Array, model: Hamm
     if not LEAST_SHARE <= share <= MOST_SHARE:
         raise InputError(
             str(path),
-            f"{', '.join(bare)} {'has' if len(bare) == 1 else 'have'} no unit; in um the path goes to "
-            f"{asked:.3g} um, and the model travels {travel.max():.3g} um. Name the unit once: --units nm, "
-            "um or mm, or in the header, such as x_nm",
+            f"{', '.join(bare)} {('has' if len(bare) == 1 else 'have')} no unit; in um the path goes "
+            f"to {asked:.3g} um, but the model travels {travel.max():.3g} um. Name the unit: --units "
+            "nm, um or mm, or in the header, such as x_nm",
         )

@@ -49,7 +49,7 @@ class Reach:
             )
             for ends in (self.alone_um, self.together_um)
         )
-        return f"Slow paths reach, one at a time, {alone} um; all at once {together} um."
+        return f"Reach of slow paths, one axis at a time: {alone} um; all axes together: {together} um."
 
 
 def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = False) -> Reach:
@@ -209,7 +209,7 @@ class Shortfall:
         for name, row, worst_um in zip(outputs, self.error_um, self._worst(), strict=True):
             if worst_um > MISSED_SHARE * max(self._worst()):
                 where = int(np.argmax(np.abs(row)))
-                parts.append(f"output {name} is missed by up to {worst_um:.4g} um (sample {where})")
+                parts.append(f"output {name} has an error of up to {worst_um:.4g} um (sample {where})")
         axis, sample = self.turn
         return f"{'; '.join(parts)}. The largest acceleration is at sample {sample} of {outputs[axis]}."
 

@@ -44,8 +44,8 @@ class Missed:
     def statement(self) -> str:
         """Say which limit is hit, by how much and where, and what helps: two lines."""
         listed = ", ".join(f"{option} ({error:.2g} um)" for error, option in self.remedies())
-        alone = "" if "," in listed else "; or ask for a smaller or a slower path"
-        return f"{self._limits_hit()}\nRemedies, with the error of each: {listed}{alone}."
+        alone = "" if "," in listed else "; or use a smaller or slower path"
+        return f"{self._limits_hit()}\nRemedies, with the remaining error: {listed}{alone}."
 
     def remedies(self) -> list[tuple[float, str]]:
         """Error that is left [um] and options of each remedy that helps, the best one first."""
@@ -78,8 +78,8 @@ class Missed:
         error = np.abs(found.error_um)
         output, sample = divmod(int(np.argmax(error)), error.shape[1])
         parts.append(
-            f"output {self.model.outputs[output]} is off by up to {error[output, sample]:.3g} um "
-            f"at {self._when(sample)}"
+            f"output {self.model.outputs[output]} has an error of up to {error[output, sample]:.3g} "
+            f"um at {self._when(sample)}"
         )
         return f"{'; '.join(parts)}."
 

@@ -84,13 +84,14 @@ class WaveTable:
         own, held, written = self.errors_um
         device = DEVICES[self.device]
         said = [
-            f"{device.what[0].upper()}{device.what[1:]}: {self.points} points of {self.point_s:.6g} s, "
-            f"one column an input. Number in the table = {self.scale[0]:g} x V + {self.scale[1]:g}.",
-            f"Error of the played path, rms: {own:.4g} um with every sample, {held:.4g} um with points held "
-            f"for {self.point_s:.6g} s, {written:.4g} um as it is written."
-            + (" It was resampled so that the second is least." if self.hold > 1 else ""),
+            f"{device.what[0].upper()}{device.what[1:]}: {self.points} points of {self.point_s:.6g} "
+            f"s, one column for each input. Number in the table = {self.scale[0]:g} x V + "
+            f"{self.scale[1]:g}.",
+            f"Rms error of the position: {own:.4g} um with every sample, {held:.4g} um with points of "
+            f"{self.point_s:.6g} s, {written:.4g} um as written."
+            + (" The points were computed for the smallest second error." if self.hold > 1 else ""),
             *self.cycle.statements(),
-            "No device was at hand to try it on: compare what it plays with the prediction first.",
+            "This format is untried on a device: first compare its output with the prediction.",
         ]
         if self.device == "pi":
             rate = round(self.point_s / (device.step_s or 1.0))
@@ -134,8 +135,8 @@ def wave_table(
     if scale is None and not kind.fixed_unit:
         raise InputError(
             "--table-scale",
-            f"a {kind.what} may want volts, percent or um; give FACTOR[,OFFSET] from volts to its numbers "
-            "(1 for volts)",
+            f"a {kind.what} may expect volts, percent or um; give FACTOR[,OFFSET] from V to its unit "
+            "(1 for V)",
         )
     hold = _hold(cycle, kind, points)
     volts = cycle.drive_v if hold == 1 else held_least(cycle, cycle.drive_v.shape[1] // hold)
@@ -166,6 +167,7 @@ def _hold(cycle: Cycle, kind: Device, points: int | None) -> int:
     step = "" if kind.step_s is None else f", each a multiple of {1e6 * kind.step_s:g} us"
     raise InputError(
         "--table",
-        f"a period of {samples} samples of {time_s:g} s is no whole number of points, at most {most}{step}; "
-        f"choose a period of {most} points times a whole number of samples, or of another frequency",
+        f"a period of {samples} samples of {time_s:g} s is no whole number of points, at most "
+        f"{most}{step}; choose a period of {most} points times a whole number of samples, or another "
+        "frequency",
     )

@@ -44,7 +44,7 @@ class StackAxis(Strict):
     @model_validator(mode="after")
     def _stops_differ(self) -> Self:
         if len({stop.threshold_uc for stop in self.stops}) < len(self.stops):
-            raise ValueError("two stops have one threshold; add their stiffnesses")
+            raise ValueError("two stops have the same threshold; add their stiffnesses")
         return self
 
     @property
@@ -91,12 +91,12 @@ class ElectromechanicalDynamics(Strict):
         return len(self.axes)
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         each = ", ".join(f"{axis.resonance_hz:.4g} Hz with {len(axis.stops)} stops" for axis in self.axes)
         return f"electromechanical stacks: {each}"
 
     def block(self) -> FeedbackBlock:
-        """Give its matrices, in continuous time."""
+        """Return its matrices, in continuous time."""
         n, each = len(self.axes), [axis.matrices() for axis in self.axes]
         a, e, f, g = (np.zeros((rows * n, columns * n)) for rows, columns in ((2, 2), (2, 1), (1, 2), (1, 1)))
         for i, (own_a, own_e, own_f, own_g) in enumerate(each):

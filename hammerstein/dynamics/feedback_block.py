@@ -70,7 +70,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
         return LinearBlock(a, b, self.C, self.D, self.sample_time_s)
 
     def linearised_at(self, u: Array) -> LinearBlock:
-        """Give the linear block with the gains that slow settled loops from -u to u (m,) have."""
+        """Return the linear block with the gains that slow settled loops from -u to u (m,) have."""
         return self._slow_loop(u)[0]
 
     def slow_ends(self, u: Array) -> Array:
@@ -121,7 +121,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
     @property
     def _driven(self) -> LinearBlock:
-        """Give the part of x that u and w drive."""
+        """Return the part of x that u and w drive."""
         inputs = np.hstack([self.B, self.E])
         none = np.zeros((0, inputs.shape[1]))
         return LinearBlock(self.A, inputs, np.zeros((0, len(self.A))), none, self.sample_time_s)

@@ -39,7 +39,7 @@ class FeedbackHysteresisDynamics(Strict):
     F: Matrix
     G: Matrix
     hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="inside the loop")]
-    products: ProductsFile | None = Field(default=None, description="of inputs of the hysteresis, beside it")
+    products: ProductsFile | None = Field(default=None, description="of the products of hysteresis inputs")
     sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
     input_delay_s: Delay = 0.0
     allow_unstable: Literal[True] | None = Field(
@@ -59,9 +59,9 @@ class FeedbackHysteresisDynamics(Strict):
             if len(matrix) != rows or any(len(row) != columns for row in matrix):
                 raise ValueError(f"{name} must be {rows} x {columns}")
         if self.products and any(len(term.weights) != q for term in self.products.terms):
-            raise ValueError(f"every product must have {q} weights, one an output of the hysteresis")
+            raise ValueError(f"every product must have {q} weights, one for each output of the hysteresis")
         if self.products and len(self.products.limits) != h:
-            raise ValueError(f"products must have {h} limits, one an input of the hysteresis")
+            raise ValueError(f"products must have {h} limits, one for each input of the hysteresis")
         return self
 
     @classmethod
@@ -89,12 +89,16 @@ class FeedbackHysteresisDynamics(Strict):
         return len(self.D[0])
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
-        grid = "continuous" if self.sample_time_s is None else f"at {self.sample_time_s:g} s a sample"
+        """Short description."""
+        grid = (
+            "continuous"
+            if self.sample_time_s is None
+            else (f"with a sample time of {self.sample_time_s:g} s")
+        )
         return f"state space of order {len(self.A)} with {self.hysteresis.kind} in its loop, {grid}"
 
     def block(self) -> FeedbackBlock:
-        """Give its matrices, in continuous time or on its own sample time."""
+        """Return its matrices, in continuous time or on its own sample time."""
         gamma = self.hysteresis.hysteresis()
         n, p, m = len(self.A), len(self.D), len(self.D[0])
         h, q = gamma.n_inputs, gamma.n_outputs
@@ -118,8 +122,9 @@ class FeedbackHysteresisDynamics(Strict):
         if worst < 0.0:
             return ""
         return (
-            "is not stable at large amplitudes, where all of the hysteresis moves: a pole lies "
-            f"{worst:.3g} beyond the border. Identify it again, or set allow_unstable = true if this is meant"
+            "is not stable at large amplitudes, where the whole hysteresis moves: a pole is "
+            f"{worst:.3g} beyond the stability limit. Identify it again, or set allow_unstable = true "
+            "to accept it"
         )
 
 

@@ -76,12 +76,12 @@ class SteppedBlock(ABC):
         if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
             raise InputError(
                 "signal",
-                f"its sample time is {sample_time_s:g} s, the block was discretised for "
-                f"{self.sample_time_s:g} s; resample one or the other",
+                f"its sample time is {sample_time_s:g} s, but the block was discretised for "
+                f"{self.sample_time_s:g} s; resample one of them",
             )
         v = np.ascontiguousarray(np.atleast_2d(np.asarray(v_um, dtype=np.float64)))
         if v.shape[0] != self.n_inputs:
-            raise InputError("signal", f"has {v.shape[0]} axes, the block wants {self.n_inputs}")
+            raise InputError("signal", f"has {v.shape[0]} axes; the block needs {self.n_inputs}")
         x = self.rest() if start is None else np.array(start, dtype=np.float64)
         y = np.empty((self.n_outputs, v.shape[1]))
         self.carry_on(v, x, 0, v.shape[1], y)
@@ -93,7 +93,7 @@ class SteppedBlock(ABC):
         return y[:, 0], after
 
     def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
-        """Give the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
+        """Return the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
 
         It stands on its own sample grid; InputError for another sample time.
         """
@@ -111,7 +111,7 @@ class LinearBlock(SteppedBlock, ByValue):
 
     A : (n, n), B : (n, m), C : (p, n), D : (p, m)
 
-    With ``sample_time_s`` = 0 the matrices are those of continuous time, to be put on a grid by ``held``.
+    With ``sample_time_s`` = 0 the matrices are those of continuous time; ``held`` discretises them.
     """
 
     called: ClassVar[str] = "linear block"
@@ -126,11 +126,11 @@ class LinearBlock(SteppedBlock, ByValue):
         freeze_fields(self, *"ABCD")
 
     def __repr__(self) -> str:
-        grid = f"{self.sample_time_s:g} s a sample" if self.sample_time_s else "continuous"
+        grid = f"with a sample time of {self.sample_time_s:g} s" if self.sample_time_s else "continuous"
         return f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, {grid})"
 
     def system(self) -> control.StateSpace:
-        """Give the block as a ``control.StateSpace``.
+        """Return the block as a ``control.StateSpace``.
 
         python-control up to 0.10.2 sets the shape of the empty matrices of a system without states, which
         NumPy 2.5 warns of; mended in https://github.com/python-control/python-control/pull/1243. No
@@ -142,7 +142,7 @@ class LinearBlock(SteppedBlock, ByValue):
         return control.ss(self.A, self.B, self.C, self.D, timebase)
 
     def held(self, sample_time_s: float, late_s: float = 0.0) -> LinearBlock:
-        """Put a block in continuous time on a grid, exactly for an input held over each sample.
+        """Discretise a continuous-time block exactly for an input that is constant over each sample.
 
         The input may come ``late_s`` late, less than a sample. Its last value is then carried as a state and
         works until the new one arrives (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 1997,
@@ -158,7 +158,7 @@ class LinearBlock(SteppedBlock, ByValue):
         return LinearBlock(step[:n, :n], step[:n, n:], self.C, self.D, sample_time_s)
 
     def behind(self, first: LinearBlock) -> LinearBlock:
-        """Give both in a row in continuous time, this one last; the states of the other one come first."""
+        """Return the series connection in continuous time, this block last; states of the other one first."""
         a = np.block([[first.A, np.zeros((len(first.A), len(self.A)))], [self.B @ first.C, self.A]])
         b, c = np.vstack([first.B, self.B @ first.D]), np.hstack([self.D @ first.C, self.C])
         return LinearBlock(a, b, c, self.D @ first.D, self.sample_time_s)
@@ -172,7 +172,7 @@ class LinearBlock(SteppedBlock, ByValue):
         return LinearBlock(a, b, c, d, sample_time_s)
 
     def lag(self, frequency_hz: ArrayLike) -> Array:
-        """How far sines (frequency,) come out from where slow ones do, as a part of their amplitude.
+        """Relative deviation of sines (frequency,) from the response to slow ones.
 
         The largest entry of |G(z) G(1)^-1 - 1| at z = exp(j 2 pi f T), of a block on a grid.
         """
@@ -194,7 +194,7 @@ class LinearBlock(SteppedBlock, ByValue):
         return np.asarray(np.linalg.lstsq(np.eye(n) - self.A, held, rcond=None)[0])
 
     def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
-        """Put outputs into y_um (p, sample) from one sample up to another; ``state`` (n,) is moved on."""
+        """Write outputs into y_um (p, sample) for a range of samples; ``state`` (n,) is updated."""
         from hammerstein.compiled import spans
         from hammerstein.dynamics.path_kernel import respond_linear
 
@@ -236,8 +236,8 @@ class LinearBlock(SteppedBlock, ByValue):
             raise InputError(
                 "dynamics",
                 f"an input delay of {samples * self.sample_time_s:g} s is {samples} samples of "
-                f"{self.sample_time_s:g} s; at most {MOST_DELAY_STATES // m} are carried: use a shorter "
-                "input_delay_s or a longer sample time",
+                f"{self.sample_time_s:g} s, but at most {MOST_DELAY_STATES // m} are possible: use a "
+                "shorter input_delay_s or a longer sample time",
             )
         shift = np.eye(m * samples, k=-m)
         last = np.zeros((m, m * samples))

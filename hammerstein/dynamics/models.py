@@ -58,7 +58,7 @@ class Axis(Strict):
     G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2) * 1 / (1 + T_l s) * (1 + sum of g_i / (1 + T_i s))
 
     w_n = 2 pi resonance_hz is the undamped natural frequency, z the damping ratio, T_l the time constant of a
-    low-pass, such as that of the amplifier. What is not given is left out.
+    low-pass, for example of the amplifier. Omitted parts are absent.
     """
 
     resonance_hz: Resonance | None = Field(default=None, description="undamped natural frequency")
@@ -69,7 +69,7 @@ class Axis(Strict):
     @model_validator(mode="after")
     def _whole_resonance(self) -> Self:
         if (self.resonance_hz is None) != (self.damping_ratio is None):
-            raise ValueError("give resonance_hz and damping_ratio, or none of them")
+            raise ValueError("give both resonance_hz and damping_ratio, or neither")
         return self
 
     @model_serializer(mode="wrap")
@@ -78,7 +78,7 @@ class Axis(Strict):
         return {name: value for name, value in plain.items() if value is not None}
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         parts = []
         if self.resonance_hz is not None:
             parts.append(f"{self.resonance_hz:.4g} Hz (damping {self.damping_ratio:.3g})")
@@ -88,8 +88,8 @@ class Axis(Strict):
 
     @property
     def free(self) -> Array:
-        """Its numbers: ln resonance, ln damping, ln time constant of the low-pass, then gain and ln time
-        constant of each slow mode; what it does not have is left out.
+        """Its parameters: ln resonance, ln damping, ln time constant of the low-pass, then gain and ln time
+        constant of each slow mode; without absent parts.
         """
         x: list[float] = []
         if self.resonance_hz is not None and self.damping_ratio is not None:
@@ -101,7 +101,7 @@ class Axis(Strict):
         return np.array(x)
 
     def at(self, free: Array) -> Self:
-        """Give the axis with other ``free`` numbers."""
+        """Return the axis with other ``free`` numbers."""
         x = iter(free.tolist())
         fast = ("resonance_hz", "damping_ratio", "lag_s")
         other: dict[str, Any] = {key: math.exp(next(x)) for key in fast if getattr(self, key) is not None}
@@ -112,11 +112,11 @@ class Axis(Strict):
         return self.model_copy(update=other)
 
     def system(self) -> control.StateSpace:
-        """Give the axis as a continuous ``control.StateSpace``."""
+        """Return the axis as a continuous ``control.StateSpace``."""
         return self.block().system()
 
     def block(self) -> LinearBlock:
-        """Give its matrices, in continuous time."""
+        """Return its matrices, in continuous time."""
         parts = [LinearBlock(*matrices, CONTINUOUS) for matrices in self._parts()]
         return reduce(LinearBlock.behind, parts) if parts else unit_gain(1)
 
@@ -132,7 +132,7 @@ class Axis(Strict):
 
 
 class AxesDynamics(Strict):
-    """One axis for each output, not coupled with each other."""
+    """One axis for each output, without coupling between the outputs."""
 
     kind: Literal["axes"] = "axes"
     axes: tuple[Axis, ...] = Field(min_length=1)
@@ -145,56 +145,56 @@ class AxesDynamics(Strict):
 
     @property
     def free(self) -> Array:
-        """Numbers of all axes, one after the other; see ``Axis.free``."""
+        """Parameters of all axes, one after the other; see ``Axis.free``."""
         return np.concatenate([axis.free for axis in self.axes])
 
     def at(self, free: Array) -> Self:
-        """Give the axes with other ``free`` numbers."""
+        """Return the axes with other ``free`` numbers."""
         ends = np.cumsum([len(axis.free) for axis in self.axes])[:-1]
         each = zip(self.axes, np.split(free, ends), strict=True)
         return self.model_copy(update={"axes": tuple(axis.at(own) for axis, own in each)})
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         kind = "resonant axes" if any(a.resonance_hz for a in self.axes) else "axes"
         axes = ", ".join(axis.describe() for axis in self.axes)
         return f"{kind}: {axes}" + (", with creep" if any(a.creep for a in self.axes) else "")
 
     def system(self) -> control.StateSpace:
-        """Give the block as a continuous ``control.StateSpace``."""
+        """Return the block as a continuous ``control.StateSpace``."""
         import control
 
         return control.append(*(axis.system() for axis in self.axes))
 
     def block(self) -> LinearBlock:
-        """Give its matrices, in continuous time."""
+        """Return its matrices, in continuous time."""
         each = [axis.block() for axis in self.axes]
         a, b, c, d = (_along_the_diagonal([getattr(block, name) for block in each]) for name in "ABCD")
         return LinearBlock(a, b, c, d, CONTINUOUS)
 
 
 class StaticDynamics(Strict):
-    """No dynamics: the displacement follows the hysteresis block at once."""
+    """No dynamics: the displacement equals the output of the hysteresis."""
 
     kind: Literal["static"] = "static"
     n_outputs: Axes
     input_delay_s: Delay = 0.0
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         return "none"
 
     def system(self) -> control.StateSpace:
-        """Give the block as a ``control.StateSpace`` without states."""
+        """Return the block as a ``control.StateSpace`` without states."""
         return self.block().system()
 
     def block(self) -> LinearBlock:
-        """Give its matrices, in continuous time."""
+        """Return its matrices, in continuous time."""
         return unit_gain(self.n_outputs)
 
 
 class StateSpaceDynamics(Strict):
-    """Any linear block x' = A x + B v, y = C x + D v, continuous or on a fixed sample time."""
+    """Linear block x' = A x + B v, y = C x + D v, continuous or with a fixed sample time."""
 
     kind: Literal["state_space"] = "state_space"
     A: tuple[tuple[Entry, ...], ...]
@@ -231,13 +231,17 @@ class StateSpaceDynamics(Strict):
         if worst < bound:
             return ""
         return (
-            f"is not stable ({name.format(worst)}): its outputs grow without bound. Identify it again, or "
-            "set allow_unstable = true beside A if this is meant"
+            f"is not stable ({name.format(worst)}): its outputs grow without bound. Identify it "
+            "again, or set allow_unstable = true beside A to accept it"
         )
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
-        kind = "continuous" if self.sample_time_s is None else f"at {self.sample_time_s:g} s a sample"
+        """Short description."""
+        kind = (
+            "continuous"
+            if self.sample_time_s is None
+            else (f"with a sample time of {self.sample_time_s:g} s")
+        )
         return f"state space of order {len(self.A)}, {kind}"
 
     @classmethod
@@ -272,11 +276,11 @@ class StateSpaceDynamics(Strict):
         return len(self.D)
 
     def system(self) -> control.StateSpace:
-        """Give the block as a ``control.StateSpace``."""
+        """Return the block as a ``control.StateSpace``."""
         return self.block().system()
 
     def block(self) -> LinearBlock:
-        """Give its matrices, in continuous time or on its own sample time."""
+        """Return its matrices, in continuous time or on its own sample time."""
         n, m, p = len(self.A), len(self.D[0]), len(self.D)
         a, b = np.reshape(self.A, (n, n)), np.reshape(self.B, (n, m))
         c, d = np.reshape(self.C, (p, n)), np.reshape(self.D, (p, m))
@@ -301,7 +305,7 @@ def cantilever(
     *,
     resonance_hz: ArrayLike | None = None,
 ) -> control.StateSpace:
-    """Cantilever bending modes, one second-order axis of unit static gain an output.
+    """Cantilever bending modes: one second-order axis of unit static gain for each output.
 
         G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2)
 
@@ -373,7 +377,7 @@ def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> St
 
 
 def linear(dynamics: Dynamics) -> Linear:
-    """Give the dynamics as linear ones; InputError where they have hysteresis in their loop.
+    """Return the dynamics as linear ones; InputError where they have hysteresis in their loop.
 
     What such a model does follows from the loop alone: nobody can work with the block in front of it as if
     that were the whole.
@@ -381,8 +385,8 @@ def linear(dynamics: Dynamics) -> Linear:
     if isinstance(dynamics, WithLoop):
         raise InputError(
             "dynamics",
-            f"{dynamics.kind} is not linear, and this needs linear dynamics; simulate it, or identify a "
-            "cascade from its records",
+            f"{dynamics.kind} is not linear, but linear dynamics are needed here; simulate it, or "
+            "identify a cascade from its records",
         )
     return dynamics
 
@@ -390,7 +394,7 @@ def linear(dynamics: Dynamics) -> Linear:
 def discretise(
     dynamics: Dynamics, sample_time_s: float, sensor_bandwidth_hz: float | None = None
 ) -> LinearBlock:
-    """Put a linear block on a sample grid; see ``on_grid``.
+    """Discretise a linear block; see ``on_grid``.
 
     Raises
     ------
@@ -437,14 +441,14 @@ def _gridded(block: B, delay_s: float, sample_time_s: float, sensor_bandwidth_hz
         if not math.isclose(block.sample_time_s, sample_time_s, rel_tol=1e-9):
             raise InputError(
                 "dynamics",
-                f"the model was identified at {block.sample_time_s:g} s a sample and cannot run at "
-                f"{sample_time_s:g} s; set the drive's sample_time_s to the model's",
+                f"the model was identified at a sample time of {block.sample_time_s:g} s and cannot "
+                f"run at {sample_time_s:g} s; set the drive's sample_time_s to the model's",
             )
         if late_s:
             raise InputError(
                 "dynamics",
-                f"the input delay of {delay_s:g} s is no whole number of samples of "
-                f"{sample_time_s:g} s, on which this block is discrete; round it",
+                f"the input delay of {delay_s:g} s is no whole number of samples of {sample_time_s:g} "
+                "s, the sample time of this block; round it",
             )
         if sensor_bandwidth_hz is not None:
             sensor = low_pass(sensor_bandwidth_hz, block.n_outputs)

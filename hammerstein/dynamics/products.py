@@ -67,7 +67,7 @@ class ProductsFile(Strict):
 
     @classmethod
     def of(cls, products: InputProducts) -> ProductsFile | None:
-        """Give the form of some products in a file; None if there is none."""
+        """Return the form of some products in a file; None if there is none."""
         if not len(products.factors):
             return None
         h = len(products.limit)
@@ -78,7 +78,7 @@ class ProductsFile(Strict):
         return cls(limits=tuple(products.limit.tolist()), terms=tuple(terms))
 
     def products(self) -> InputProducts:
-        """Give the products this describes."""
+        """Return the products this describes."""
         h = len(self.limits)
         rows = [[k - 1 for k in term.of] + [h] * (MOST_FACTORS - len(term.of)) for term in self.terms]
         weights = np.array([term.weights for term in self.terms]).T

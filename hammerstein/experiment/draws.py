@@ -45,11 +45,11 @@ class Actuators(ABC):
 
     @abstractmethod
     def plant(self, number: int) -> Plant:
-        """Give the actuator of a number."""
+        """Return the actuator of a number."""
 
     @abstractmethod
     def seed(self, number: int) -> int:
-        """Give the seed of its noise."""
+        """Return the seed of its noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,11 +178,11 @@ class DrawnActuators(Actuators):
         return self.uncertainty.draws
 
     def plant(self, number: int) -> Plant:
-        """Give the draw of a number."""
+        """Return the draw of a number."""
         return Plant(*self.uncertainty.draw(self.nominal.model, self.nominal.instruments, number))
 
     def seed(self, number: int) -> int:
-        """Give the seed of its noise."""
+        """Return the seed of its noise."""
         return self.scenario_seed + SEED_STEP * (number + 1)
 
 

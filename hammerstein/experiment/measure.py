@@ -28,12 +28,12 @@ SIMULATED = "the simulated actuator"
 FLAGGED = "flagged by its fit report"
 ITSELF = "designed from the simulated actuator itself"
 FAR = (
-    "but the model was found from {low:.4g} to {high:.4g} V. It knows nothing of the loop beyond: identify "
-    "it as far (amplitude_v), or ask for less."
+    "but the model was identified from {low:.4g} to {high:.4g} V and is unknown beyond: identify it "
+    "over a larger range (amplitude_v), or use a smaller signal."
 )
 FAR_ITSELF = (
-    "but it was recorded from {low:.4g} to {high:.4g} V. Nobody knows how it moves beyond: give its drive a "
-    "range (instruments.drive.range_v), or ask for less."
+    "but it was recorded from {low:.4g} to {high:.4g} V. Its motion beyond is unknown: give its "
+    "drive a range (instruments.drive.range_v), or use a smaller signal."
 )
 
 
@@ -85,9 +85,9 @@ def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
     low, high = drive.limits(len(response.drive_v))[:, case.axis or 0]
     still_v = response.drive_v[case.axis or 0, -1] + 0.0  # no -0
     raise SimulationError(
-        f"the drive stands still at {still_v:.4g} V throughout: its converter "
-        f"has steps of {drive.resolution_v:.3g} V and a range of {low:g} to {high:g} V. Use a larger "
-        "amplitude, or an offset within the range"
+        f"the drive is constant at {still_v:.4g} V: its converter has steps of "
+        f"{drive.resolution_v:.3g} V and a range of {low:g} to {high:g} V. Use a larger amplitude, or "
+        "an offset within the range"
     )
 
 
@@ -198,10 +198,9 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
         return []
     reading, true, row = max(lagging, key=lambda found: found[0] - found[1])
     return [
-        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator!r}{row.at} its "
-        f"reading on {row.measured_axis} is {reading:.3g} um rms off the reference, the true position "
-        f"{true:.3g} um. "
-        "A compensator is to be judged by the true position."
+        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator!r}{row.at}, the rms error on "
+        f"{row.measured_axis} is {reading:.3g} um for its reading, but {true:.3g} um for the true "
+        "position. Judge a compensator by the true position."
     ]
 
 
@@ -244,26 +243,29 @@ def _sampling(setup: SetUp) -> Iterator[str]:
     share = hold_share(highest, step)
     if share > HOLD_SHARE:
         held = (
-            f"Every voltage is held for {1e6 * step:g} us: at {highest:g} Hz this alone puts a sine "
-            f"{100.0 * share:.2g} % of its amplitude off, more than {100.0 * HOLD_SHARE:g} % from "
-            f"{HOLD_SHARE / (math.pi * step):.3g} Hz on. "
+            f"Each voltage is constant for {1e6 * step:g} us. At {highest:g} Hz this alone "
+            f"causes an error of {100.0 * share:.2g} % of a sine's amplitude; the error exceeds "
+            f"{100.0 * HOLD_SHARE:g} % above {HOLD_SHARE / (math.pi * step):.3g} Hz. "
         )
         if isinstance(setup.plant.model.dynamics, StaticDynamics):
-            yield held + "Without dynamics that is so between the samples, and the figures are those at them."
+            yield held + (
+                "Without dynamics, this error occurs between the samples only; the numbers "
+                "in this report are errors at the samples."
+            )
         else:
-            yield held + "Only a law or model with dynamics knows of it."
+            yield held + "Only a law or a model with dynamics accounts for it."
     for source in (*scenario.compensators, *scenario.models):
         own = getattr(source.identification, "sample_time_s", None)
         if own is not None and not math.isclose(own, step):
             yield (
-                f"{source.label}: two sample times meet; identified at {1e6 * own:g} us, run at "
-                f"{1e6 * step:g} us, whose hold is not in the model."
+                f"{source.label}: identified at a sample time of {1e6 * own:g} us, run at "
+                f"{1e6 * step:g} us; the model does not contain this difference."
             )
     every = scenario.measure.record_every
     if every is not None:
         yield (
-            f"One of {every} samples was recorded, one every {1e3 * every * step:g} ms; the figures are of "
-            "these."
+            f"One of {every} samples was recorded, one every {1e3 * every * step:g} ms; all "
+            "numbers are from these samples."
         )
 
 
@@ -284,9 +286,9 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
     plant = setup.plant.model
     off = plant.verdict.error(plant.outputs) if plant.verdict is not None else ""
-    known = f", by its fit report {off}" if off else ""
+    known = f" ({off}, from its fit report)" if off else ""
     statements += [
-        f"{label}: {ITSELF}. On a real one the model's error comes on top{known}."
+        f"{label}: {ITSELF}. On a real actuator, the model error is added{known}."
         for label in setup.laws
         if setup.models[label].digest() == plant.digest()
     ]
@@ -303,7 +305,7 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
             statements.append(f"{where}: the drive's range cut {cut} sample{'s' * (cut != 1)}.")
         if result.clipped:
             statements.append(
-                f"{where}: the sensor's range cut {result.clipped} samples of the reading; use a larger "
-                "instruments.sensor.range_um, or look at the true position."
+                f"{where}: the sensor's range cut {result.clipped} samples of the reading; use a "
+                "larger instruments.sensor.range_um, or look at the true position."
             )
     return tuple(statements)

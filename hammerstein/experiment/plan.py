@@ -111,8 +111,8 @@ class Plan:
             return
         largest = max(self.parts, key=lambda part: part.bytes)
         raise SimulationError(
-            f"this needs about {size(self.bytes)} of memory, and {size(free)} are free. The largest part is "
-            f"{largest.what}, with {size(largest.bytes)}. Lower {largest.keys}"
+            f"this run needs about {size(self.bytes)} of memory, but {size(free)} are free. The "
+            f"largest part is {largest.what}, with {size(largest.bytes)}. Lower {largest.keys}"
         )
 
     def announcement(self, jobs: int) -> tuple[str, float]:
@@ -181,7 +181,7 @@ def plan_of(scenario: Scenario, jobs: int = 1, timed: bool = True) -> Plan:
     parts = [*identified, *_runs(scenario, plant, jobs, timed)]
     if identified and scenario.assessment is not None and scenario.assessment.runs:
         seconds = scenario.assessment.runs * sum(part.seconds for part in identified)
-        words = "the identifications on other actuators that its [assessment] asks for"
+        words = "the identifications of other actuators in its [assessment]"
         parts.append(Part(words, 0.0, seconds, "the actuators in [assessment]"))
     return Plan(tuple(replace(part, seconds=factor * part.seconds) for part in parts))
 
@@ -215,7 +215,7 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
         if isinstance(spec, ClosedFormSpec):
             cycles = max(spec.settle_cycles, math.ceil(0.05 * spec.frequency_hz)) + spec.measured_cycles
             samples = cycles / (spec.frequency_hz * step)
-            words = f"the identification of {label!r}, a run of {samples:.3g} samples an input"
+            words = f"the identification of {label!r}, a run of {samples:.3g} samples for each input"
             needed, seconds = COPIES * run_bytes(samples, m, p), m * samples * SECONDS_A_SAMPLE
             keys = "its measured_cycles or settle_cycles, or raise frequency_hz"
             yield Part(words, needed, seconds, keys, once)

@@ -32,7 +32,7 @@ class Target:
     position_um: Array
 
     def part(self, samples: slice) -> Target:
-        """Give some of the samples."""
+        """Return some of the samples."""
         return Target(self.label, self.reading_um[:, samples], self.position_um[:, samples])
 
 
@@ -86,11 +86,11 @@ class Trace:
 class Report(NotebookRepr):
     """Result of one scenario.
 
-    rows : figures, one row for each case and measured axis
-    statements : what a reader must know of convergence, saturation and settling
-    judgements : what was found of what the scenario's assessment asks
+    rows : figures of merit, one row for each case and measured axis
+    statements : warnings about convergence, saturation and settling
+    judgements : comparison with the expected results of the scenario
     bands : spread over the draws of an uncertain actuator; empty without uncertainty
-    sensitivities : which uncertain parameter that spread is due to; empty if not asked for
+    sensitivities : share of each uncertain parameter in the spread; empty if not requested
     traces : measured windows; they are not written into the report file
     """
 
@@ -116,15 +116,15 @@ class Report(NotebookRepr):
 
     @property
     def reads_truth(self) -> bool:
-        """Whether the sensor is ideal: what is said of its readings holds for the true position."""
+        """Whether the sensor is ideal, so that its readings equal the true position."""
         return self.instruments.sensor.is_ideal
 
     def without_traces(self) -> Report:
-        """Give the report without its traces, as small as its file."""
+        """Return the report without its traces, as small as its file."""
         return replace(self, traces=())
 
     def to_frame(self) -> pd.DataFrame:
-        """Rows as a pandas table; a figure without meaning is NaN."""
+        """Rows as a pandas table; an undefined figure is NaN."""
         import pandas as pd
 
         return pd.DataFrame([row.columns() for row in self.rows])

@@ -1,6 +1,6 @@
 """From a scenario to its report: simulate every case, measure it, gather the rows.
 
-reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, every wire kept
+reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, with all signals
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ def simulate(
     excited_axis: str | None = None,
     **values: float,
 ) -> Response:
-    """Simulate one case of a scenario and keep every wire.
+    """Simulate one case of a scenario and return all signals.
 
     Parameters
     ----------
     scenario : what to run: a scenario, its file, or a mapping with what a file would hold
     compensator : label of the compensator; the first one if not given
-    excited_axis : name of the axis, where each is driven in turn; the first one if not given
+    excited_axis : name of the driven axis, if each is driven in turn; the first one if not given
     values : values of the sweep, such as ``frequency_hz=50.0``; the first ones if not given
 
     Returns
@@ -67,19 +67,19 @@ def simulate_in_blocks(
     excited_axis: str | None = None,
     **values: float,
 ) -> Iterator[Response]:
-    """Simulate one case of a scenario part by part, for runs that do not fit the memory.
+    """Simulate one case of a scenario block by block, for runs that do not fit into memory.
 
-    The state is carried over: the parts, one after the other, are what ``simulate`` gives in one piece,
-    to the last bit. Drop each response before the next, and memory stays that of one part.
+    The state continues from block to block, so the numbers equal those of ``simulate`` to the last bit. Drop
+    each response before the next, and the memory stays that of one block.
 
     Parameters
     ----------
     scenario, compensator, excited_axis, values : as for ``simulate``
-    samples : length of a part
+    samples : length of a block
 
     Raises
     ------
-    InputError : no such case, or a law that knows the whole path ahead or reads the sensor
+    InputError : no such case, or a law that needs the whole path in advance or reads the sensor
 
     Examples
     --------
@@ -130,10 +130,10 @@ def run(
     Parameters
     ----------
     scenario : what to run: a scenario, its file, or a mapping with what a file would hold
-    name : what the report is called; the name of the file, or "scenario", if not given
+    name : name of the report; the name of the file, or "scenario", if not given
     jobs : threads, or an executor of ``concurrent.futures``; the numbers do not depend on it
-    progress : called with what is done, how much of it, and of how much
-    store : where the results of cases are kept and found; all are worked out if not given
+    progress : called with the current step, its progress and its total
+    store : cache of results; without it, everything is computed
 
     Returns
     -------
@@ -141,7 +141,7 @@ def run(
 
     Raises
     ------
-    the errors of ``set_up``, and SimulationError where a run diverges
+    the errors of ``set_up``, and SimulationError if a run diverges
     """
     own_name, scenario = scenario_of(scenario)
     name = name or own_name
@@ -197,6 +197,7 @@ def _rows_in(results: Iterable[Result]) -> tuple[Row, ...]:
         if figure := row.not_finite():
             raise SimulationError(
                 f"{figure} of {row.measured_axis} is {getattr(row, figure)}{row.at} with "
-                f"{row.compensator or 'this drive'}: nothing follows. Use another amplitude or frequency"
+                f"{row.compensator or 'this drive'}, which is not finite. Use another amplitude or "
+                "frequency"
             )
     return rows

@@ -77,7 +77,7 @@ class _Exchanged(Actuators):
         return Plant(*self.uncertainty.of(self.nominal.model, self.nominal.instruments, normal))
 
     def seed(self, number: int) -> int:
-        """Give the seed of its noise, the same for all."""
+        """Return the seed of its noise, the same for all."""
         return self.scenario_seed
 
 
@@ -111,7 +111,8 @@ def _groups(uncertainty: Uncertainty, model: HammersteinModel) -> list[tuple[Par
         start += parameter.size
     if not groups:
         raise InputError(
-            "uncertainty.sensitivity", "nothing varies; give weights, resonance, damping, creep or noise"
+            "uncertainty.sensitivity",
+            "nothing is uncertain; give weights, resonance, damping, creep or noise",
         )
     return groups
 

@@ -1,6 +1,6 @@
 """From a scenario to its report: simulate every case, measure it, gather the rows.
 
-reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, every wire kept
+reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, with all signals
 """
 
 from __future__ import annotations
@@ -187,8 +187,7 @@ class SetUp:
         if not (law is None or isinstance(law, Law)) or not self.runs_on(case):
             raise InputError(
                 f"compensator {case.label!r}",
-                "works on the whole path, not on parts; use a law that neither looks ahead nor feeds "
-                "back nor learns",
+                "works on the whole path, not on parts; use a law without preview, feedback or learning",
             )
         state, memory = plant.rest(case.seed(scenario.seed)), None if law is None else law.rest()
         for first in range(0, total, samples):
@@ -419,7 +418,7 @@ def _check_reach(scenario: Scenario, plant: Plant, source: str) -> None:
                 if path.max() > high or path.min() < low:
                     wanted = path.max() if path.max() > high else path.min()
                     raise SimulationError(
-                        f"{source}: the reference asks for {wanted:.4g} um on {name}; the actuator reaches "
-                        f"{low:.4g} to {high:.4g} um with {volts}. Use a smaller reference, another "
-                        "offset_um, or a larger drive range."
+                        f"{source}: the reference needs {wanted:.4g} um on {name}, but the actuator "
+                        f"reaches {low:.4g} to {high:.4g} um with {volts}. Use a smaller reference, "
+                        "another offset_um, or a larger drive range."
                     )

@@ -71,13 +71,13 @@ def advice(setup: SetUp, case: Case) -> str:
         measure = setup.scenario.measure.model_copy(update={"settle_cycles": factor * cycles})
         longer = replace(setup, scenario=setup.scenario.model_copy(update={"measure": measure}))
         if Window.of(longer.scenario, case.signal, setup.plant.sample_time_s).total > MOST_SAMPLES:
-            return "whether waiting longer helps was not tried: the run is long"
+            return "the run is too long to try more cycles"
         try:
             if settled(longer, case, longer.simulate(case)):
-                return f"it does with measure.settle_cycles = {factor * cycles}"
+                return f"it settles with measure.settle_cycles = {factor * cycles}"
         except HammersteinError:
-            return "and it diverges if it goes on"
-    return f"nor does it in {LONGER[-1]} times as many cycles: {_why(setup, case)}"
+            return "it diverges in a longer run"
+    return f"it does not settle in {LONGER[-1]} times as many cycles either: {_why(setup, case)}"
 
 
 def _why(setup: SetUp, case: Case) -> str:
@@ -89,5 +89,5 @@ def _why(setup: SetUp, case: Case) -> str:
         slowest = max(mode.time_constant_s for axis in dynamics.axes for mode in axis.creep)
         return f"the actuator creeps, with time constants up to {slowest:g} s"
     if ahead_s > END_SHARE * case.signal.period_s:
-        return f"the law looks {ahead_s:.3g} s ahead, and the last cycle responds to the end of the path"
-    return "the cycles go on differing"
+        return f"the law looks {ahead_s:.3g} s ahead, so the last cycle responds to the end of the path"
+    return "the cycles keep changing"

@@ -245,8 +245,8 @@ class _Excursion(NamedTuple):
                 dict.fromkeys(f"{a:g} V about {c:g} V" for a, c in zip(size, centre, strict=True))
             )
             raise IdentificationError(
-                f"the identification asks for {about}, the drive gives {limits.words(plant.model.inputs)}; "
-                "lower amplitude_v"
+                f"the identification needs {about}, but the drive gives "
+                f"{limits.words(plant.model.inputs)}; lower amplitude_v"
             )
         return cls(np.array(known.working_point_v), centre, size)
 

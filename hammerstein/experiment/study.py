@@ -98,9 +98,9 @@ def sampled(
 
 
 def study_of(scenario: Scenario, name: str) -> Study:
-    """Give the study of a scenario; InputError where there is none."""
+    """Return the study of a scenario; InputError where there is none."""
     if scenario.study is None:
-        raise InputError(name, "has no table [study] that says which values to run")
+        raise InputError(name, "has no table [study] with the values to run")
     return scenario.study
 
 
@@ -164,7 +164,7 @@ def _refuse_fractions(study: Study, whole: set[str], name: str) -> None:
         key: [v for v in values if v != round(v)] for key, values in study.values.items() if key in whole
     }
     mistakes = [
-        Mistake(f"study.values: {key}", f"takes whole numbers alone, not {found[0]:g}")
+        Mistake(f"study.values: {key}", f"takes whole numbers only, not {found[0]:g}")
         for key, found in listed.items()
         if found
     ]
@@ -233,5 +233,5 @@ def _put(content: Any, key: str, value: float, name: str) -> None:
             raise KeyError(last)
         place[last] = value
     except (KeyError, IndexError, TypeError, AttributeError):
-        what = 'names no number of this scenario; a key is written like "compensators[1].gain"'
+        what = 'is no number of this scenario; write a key like "compensators[1].gain"'
         raise InputError(name, [Mistake(f"study.values: {key}", what)]) from None

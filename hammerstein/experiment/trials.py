@@ -20,13 +20,13 @@ def whole_period(samples: float, label: str) -> int:
     """Samples of a period; InputError where they are no whole number, which no table can hold."""
     where = f"compensator {label!r}"
     if not np.isfinite(samples):
-        raise InputError(where, "learns from one period to the next, and this path does not repeat")
+        raise InputError(where, "learns from one period to the next, but this path does not repeat")
     found = round(samples)
     if abs(samples - found) > WHOLE or found < 2:
         raise InputError(
             where,
-            f"learns a path whose period is a whole number of samples; it has {samples:.6g}. Choose a "
-            "frequency or a sample time that fits",
+            f"needs a path whose period is a whole number of samples; it has {samples:.6g}. Choose "
+            "another frequency or sample time",
         )
     return found
 

@@ -86,7 +86,7 @@ def c_block_of(hysteresis: object, state: object) -> CPart:
 
     A kind that is added registers itself here, and says by ``hysteresis`` which template of ``parts`` is its
     own: macros ``types``, ``memory`` (members of the memory, ``start`` fills them), ``functions``, and
-    ``call``, which turns ``u[M]``, counted from the working point, into ``v[ROWS]``. ``helpers`` names those
+    ``call``, which turns ``u[M]``, relative to the working point, into ``v[ROWS]``. ``helpers`` names those
     of ``least`` and ``most`` that it calls.
 
     Raises

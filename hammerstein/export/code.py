@@ -97,7 +97,7 @@ class CCode:
         return adverse(self.block, self.model_on_grid, samples)
 
     def counting(self) -> str:
-        """Give the same code in one file, counting its operations."""
+        """Return the same code in one file, counting its operations."""
         return self._parsed.counting()
 
     def library(
@@ -189,22 +189,22 @@ class CCode:
         request, limits = self.request, self.block.range
         options = "".join(f", {name} = {value}" for name, value in sorted(request.options.items()))
         said = [
-            f"Made from {request.source}, digest {self.model.digest()}: law {request.law}{options}, "
-            f"sample time {request.sample_time_s:g} s.",
+            f"Generated from {request.source}, digest {self.model.digest()}: law "
+            f"{request.law}{options}, sample time {request.sample_time_s:g} s.",
             f"Verdict: {_verdict(self.model)}",
         ]
         if isinstance(self.block, ForwardModel):
             return [*said, self.block.statement()]
         start = ", ".join(f"{u:.6g} V" for u in limits.start_v)
         said.append(
-            f"The drive stays within {limits.words(self.model.inputs)}. Before the first sample the actuator "
-            f"stands at {start}, from where the reference counts."
+            f"The drive stays within {limits.words(self.model.inputs)}. Before the first sample the "
+            f"actuator is at {start}; the reference is zero there."
         )
         if ahead := self.block.preview_samples:
             said.append(
-                f"What leaves at sample k is the drive for the reference of sample k - {ahead}: call step "
-                f"{ahead} times with the path before the first drive is due, or take its delay of "
-                f"{ahead * request.sample_time_s:.3g} s."
+                f"The output at sample k is the drive for the reference of sample k - {ahead}: call "
+                f"step {ahead} times with the path before the first drive is due, or accept its delay "
+                f"of {ahead * request.sample_time_s:.3g} s."
             )
         kind = COMPENSATORS.kinds[request.law]
         also = (
@@ -215,26 +215,26 @@ class CCode:
 
     def _cost_words(self, measured: MeasuredCode) -> str:
         cost = self.cost
-        found = "no C compiler was there to search for the worst"
+        found = "there was no C compiler to search for the worst case"
         if measured.operations is not None:
-            found = f"a search for the dearest over {measured.samples} samples found {measured.operations}"
+            found = f"a search for the worst case over {measured.samples} samples found {measured.operations}"
         return (
-            f"A step takes at most {cost.operations} operations (arithmetic, comparisons, assignments; "
-            f"proved by counting through this file, where every loop counts to a constant); {found}. "
-            f"RAM: {cost.state_bytes} bytes for each law, and the stack of a few calls. "
-            f"ROM: {cost.constant_bytes} bytes of tables, and the code."
+            f"A step takes at most {cost.operations} operations (arithmetic, comparisons, "
+            "assignments; an upper bound counted through this file, where every loop has a constant "
+            f"bound); {found}. RAM: {cost.state_bytes} bytes for each law, and the stack of a few "
+            f"calls. ROM: {cost.constant_bytes} bytes of tables, and the code."
         )
 
     def _precision(self, measured: MeasuredCode) -> list[str]:
         if self.request.float32:
             return [
-                "Everything is computed in single precision. Against double precision the output differs by "
-                f"{measured.loss_rms:.2g} {self._unit} rms, {measured.loss_max:.2g} {self._unit} at most "
-                "over golden.csv."
+                "All computations use single precision. Compared with double precision, the output "
+                f"differs by {measured.loss_rms:.2g} {self._unit} rms, {measured.loss_max:.2g} "
+                f"{self._unit} at most over golden.csv."
             ]
         return [
-            "The numbers are those of hammerstein's own step to the last bit, with -ffp-contract=off; fused "
-            "multiply-adds change the last digits."
+            "The numbers equal those of hammerstein's own step to the last bit, with "
+            "-ffp-contract=off; fused multiply-adds change the last digits."
         ]
 
     @property
@@ -260,10 +260,10 @@ def _verdict(model: HammersteinModel) -> str:
     """What its identification says of the model."""
     verdict = model.verdict
     if verdict is None:
-        return "none; the model file does not say how it was found."
+        return "none; the model file does not state how it was identified."
     if verdict.flagged:
         return "FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + "."
-    held = "judged by a validation record" if verdict.held_out else "without a validation record"
+    held = "tested by a validation record" if verdict.held_out else "without a validation record"
     return verdict.sentence or f"not flagged ({held})."
 
 
@@ -275,7 +275,7 @@ def _left_by_dynamics(model: HammersteinModel, sample_time_s: float) -> str:
     if not ends:
         return ""
     told = " and ".join(f"{100.0 * share:g} % of a sine from {f:.2g} Hz on" for share, f in ends)
-    return f"This law takes the dynamics for none: besides the model's own error it leaves {told}."
+    return f"This law ignores the dynamics, which adds an error of {told} to the model's own error."
 
 
 def rendered(template: str, **content: Any) -> str:

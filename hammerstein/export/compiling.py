@@ -125,11 +125,13 @@ def build(arguments: Sequence[str], flags: Sequence[str] = FLAGS, command: str |
     """
     command = command or compiler()
     if command is None:
-        raise InputError("C compiler", "cc, gcc or clang is needed here; install one, or name it in CC")
+        raise InputError(
+            "C compiler", "a C compiler is needed here (cc, gcc or clang); install one, or name it in CC"
+        )
     folder = tempfile.gettempdir()  # it passes by a TMPDIR that is full or not there; the compiler does not
     line, around = [command, *flags, *arguments], {**os.environ, "LC_ALL": "C", "TMPDIR": folder}
     done = subprocess.run(line, capture_output=True, text=True, check=False, env=around)
     if done.returncode != 0:
         if os.strerror(errno.ENOSPC) in done.stderr:
-            raise InputError(folder, f"is full: {command} cannot write there; make room, or set TMPDIR")
+            raise InputError(folder, f"is full: {command} cannot write there; free some space, or set TMPDIR")
         raise InternalError(f"{command} refuses the exported code: {done.stderr.strip()[:2000]}")

@@ -98,7 +98,7 @@ def measure(code: CCode, signal: Array, output: Array) -> MeasuredCode:
     if compiler() is None:
         if code.request.float32:
             raise InputError(
-                "--float32", "needs a C compiler, to measure what it loses; install one, or set CC"
+                "--float32", "needs a C compiler to measure the loss of precision; install one, or set CC"
             )
         return MeasuredCode()
     with code.library(counting=True) as library:
@@ -153,7 +153,7 @@ def check_export(folder: Path) -> list[str]:
     files = files_of(CCode(export.request, model, export.request.block(model)), export.measured)
     differing = [said for name, text in files.items() if (said := _difference(folder / name, text))]
     if differing:
-        raise ToleranceError(f"{folder}: differs from what its model gives now\n" + "\n".join(differing))
+        raise ToleranceError(f"{folder}: differs from the export of its model\n" + "\n".join(differing))
     return sorted(files)
 
 
@@ -166,7 +166,7 @@ def _difference(path: Path, text: str) -> str:
         return ""
     pairs = enumerate(zip_longest(there, text.splitlines()), start=1)
     first = next(n for n, (a, b) in pairs if a != b)
-    return f"  {path.name} from line {first} on"
+    return f"  {path.name} differs from line {first} on"
 
 
 def _columns(code: CCode) -> list[str]:

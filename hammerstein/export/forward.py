@@ -23,7 +23,7 @@ class ForwardState:
 
 
 class ForwardModel:
-    """Positions of the model for voltages as they are sent, from rest at the working point.
+    """Positions of the model for absolute voltages, from rest at the working point.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ class Code:
         return Cost(self._size(self.name)[0], self._constant_bytes(), self._function(f"{self.name}_step", ()))
 
     def counting(self) -> str:
-        """Give the same code as one file, in which every statement adds its operations to a counter."""
+        """Return the same code as one file, in which every statement adds its operations to a counter."""
         from pycparser import c_ast, c_generator
 
         tree = c_ast.FileAST([_counted(found) for found in self._tree.ext])

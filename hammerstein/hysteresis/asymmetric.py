@@ -39,13 +39,13 @@ BESIDE = 7
 
 @dataclass(frozen=True, eq=False)
 class DeadZones(ByValue):
-    """One-sided dead-zones that stand beside the plays of one pair.
+    """One-sided dead-zones in parallel to the plays of one pair.
 
         D_q(u) = max(u - q, 0)
 
     Parameters
     ----------
-    breakpoints_v : (zone,) voltages q above which a dead-zone responds to its input, as they are sent [V],
+    breakpoints_v : (zone,) absolute voltages q above which a dead-zone responds to its input [V],
         strictly increasing
     weights_um_per_v : (zone,) weights [um/V], of either sign
     weight_errors_um_per_v : (zone,) standard errors of the weights [um/V], if they are known
@@ -78,18 +78,18 @@ class DeadZones(ByValue):
 
     @property
     def slopes(self) -> Array:
-        """Partial sums of the weights (zone,) [um/V]: what they add to the slope above each breakpoint."""
+        """Partial sums of the weights (zone,) [um/V]: their part of the slope above each breakpoint."""
         return np.cumsum(self.weights_um_per_v)
 
     def of(self, u_v: ArrayLike) -> Array:
-        """Sum of the dead-zones at voltages as they are sent [um]."""
+        """Sum of the dead-zones at absolute voltages [um]."""
         beyond = np.maximum(np.subtract.outer(np.asarray(u_v, dtype=np.float64), self.breakpoints_v), 0.0)
         return np.asarray(beyond @ self.weights_um_per_v)
 
 
 @dataclass(frozen=True, eq=False)
 class ZoneLines:
-    """All dead-zones of every input as lines on one grid an input, counted from the working point.
+    """All dead-zones of every input as lines on one grid an input, relative to the working point.
 
     n : (m,) breakpoints of each input
     ends : (m, n_max+1) upper end of each zone [V], the last one and what is left at infinity
@@ -142,25 +142,25 @@ class AsymmetricState(Memory):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
-    """Plays and one-sided dead-zones side by side, of m inputs and p outputs.
+    """Sum of plays and one-sided dead-zones, for m inputs and p outputs.
 
         v_l = sum over inputs j of ( sum_i w_lji play(u_j; r_lji) + sum_q v_ljq D_q(play(u_j; r_j)) )
 
-    Plays are odd about the middle of a loop, dead-zones are not. Between two breakpoints, of a play that
-    engages or of a dead-zone, the output stays a straight line of the input.
+    Plays are odd about the centre of a loop, dead-zones are not. Between two breakpoints (of a dead-zone, or
+    where a play engages) the output is linear in the input.
 
     r_j is the smallest threshold of input j over all outputs: behind that play, which passes u unchanged
     where r_j = 0, no dead-zone moves while every play rests after a reversal.
 
-    Any pair may lack plays, dead-zones, or both. Breakpoints are voltages as they are sent; the voltages
-    given to ``respond`` are counted from ``working_point_v``, where the output is zero at rest.
+    Any pair may lack plays, dead-zones, or both. Breakpoints are absolute voltages. The voltages of
+    ``respond`` are relative to ``working_point_v``, where the output is zero at rest.
 
     Parameters
     ----------
     plays : the play operators of all pairs
     zones : (output, input) nested sequence of ``DeadZones``
     working_point_v : (m,) voltage from which the model counts [V]; zeros if not given
-    weight_covariance : (output,) covariance of the weights, where it is known: pair after pair those of the
+    weight_covariance : (output,) covariance of the weights, if it is known: pair after pair those of the
         plays, then those of the dead-zones
 
     Raises
@@ -193,7 +193,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         m, p = self.plays.n_inputs, self.plays.n_outputs
         if len(self.zones) != p or any(len(row) != m for row in self.zones):
             raise InputError(
-                "asymmetric model", f"dead-zones must be {p} rows of {m}, one for every pair of the plays"
+                "asymmetric model", f"dead-zones must be {p} rows of {m}, one for each pair of the plays"
             )
         given = np.zeros(m) if self.working_point_v is None else self.working_point_v
         object.__setattr__(self, "working_point_v", frozen(given))
@@ -202,11 +202,11 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         refuse_other_sizes(self.operators, self.weight_covariance)
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         n = self.lines.n
         counts = " to ".join(str(count) for count in dict.fromkeys((int(n.min()), int(n.max()))))
         plural = "" if n.max() == 1 else "s"
-        return f"{self.plays.describe()}; {counts} dead-zone{plural} an input"
+        return f"{self.plays.describe()}; {counts} dead-zone{plural} for each input"
 
     @property
     def n_inputs(self) -> int:
@@ -220,7 +220,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 
     @cached_property
     def lines(self) -> ZoneLines:
-        """All dead-zones as lines, counted from the working point."""
+        """All dead-zones as lines, relative to the working point."""
         return ZoneLines.of(self.zones, np.asarray(self.working_point_v))
 
     @cached_property
@@ -230,7 +230,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         return frozen(np.where(bank.n > 0, bank.r[:, 0], 0.0))
 
     def counted_from(self, working_point_v: ArrayLike) -> Asymmetric:
-        """Give the same hysteresis for voltages counted from another working point (m,) [V]."""
+        """Return the same hysteresis for voltages relative to another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
     @property
@@ -293,7 +293,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         )
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Asymmetric:
-        """Give the same thresholds and breakpoints with other weights."""
+        """Return the same thresholds and breakpoints with other weights."""
         rows, zones = [], []
         for pairs, bends, own in zip(self.plays.pairs, self.zones, weights, strict=True):
             counts = [
@@ -314,7 +314,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         return (*(bank.r[k, :n] for k, n in enumerate(bank.n)), *zones)
 
     def at_places(self, places: Sequence[Array]) -> Asymmetric:
-        """Give the same weights with other thresholds and breakpoints."""
+        """Return the same weights with other thresholds and breakpoints."""
         plays, points = self.plays.at(np.concatenate(places[: self.n_inputs])), iter(places[self.n_inputs :])
         zones = tuple(
             tuple(DeadZones(np.sort(next(points)), zone.weights_um_per_v) for zone in row)
@@ -357,7 +357,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         return np.concatenate(kept)
 
     def with_columns(self, kept: Flags) -> Asymmetric:
-        """Give the block with some of its plays and dead-zones, the same of every output."""
+        """Return the block with some of its plays and dead-zones, the same of every output."""
         pairs, zones = [], []
         for row, bends in zip(self.plays.pairs, self.zones, strict=True):
             sizes = [n for p, z in zip(row, bends, strict=True) for n in (len(p.thresholds_v), len(z.slopes))]
@@ -413,11 +413,11 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         return Bounds(basis, side, bound)
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-        """Give the number of dead-zones."""
-        return [f"{self.lines.n.max(initial=0)} dead-zones an input stand beside the plays"]
+        """Return the number of dead-zones."""
+        return [f"{self.lines.n.max(initial=0)} dead-zones for each input beside the plays"]
 
     def file(self) -> AsymmetricFile:
-        """Give its form in a model file; the working point stands there once, with the voltages."""
+        """Form in a model file; the voltages of the file hold the working point."""
         parts = {"pairs": self.plays.pairs, "dead_zones": self.zones}
         return AsymmetricFile.model_validate(parts | {"weight_covariance": self.weight_covariance})
 
@@ -425,12 +425,12 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 class DeadZonesFile(PartFile):
     """Dead-zones of one pair in a model file."""
 
-    breakpoints_v: tuple[Offset, ...] = Field(description="voltages as they are sent")
+    breakpoints_v: tuple[Offset, ...] = Field(description="absolute voltages")
     weights_um_per_v: tuple[Weight, ...]
     weight_errors_um_per_v: tuple[WeightError, ...] | None = None
 
     def value(self) -> DeadZones:
-        """Give the dead-zones this describes."""
+        """Return the dead-zones this describes."""
         return DeadZones(**self.model_dump())
 
 
@@ -444,7 +444,7 @@ class AsymmetricFile(HysteresisFile):
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 
     def hysteresis(self) -> Asymmetric:
-        """Give the hysteresis this describes."""
+        """Return the hysteresis this describes."""
         plays = PrandtlIshlinskii(tuple(tuple(pair.value() for pair in row) for row in self.pairs))
         zones = tuple(tuple(zone.value() for zone in row) for row in self.dead_zones)
         return Asymmetric(plays, zones, weight_covariance=covariances(self.weight_covariance))

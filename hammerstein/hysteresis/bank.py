@@ -16,7 +16,7 @@ from hammerstein.hysteresis.pair import Pair
 class PlayState(Memory):
     """Memory of a Prandtl-Ishlinskii model: the stack of segments of each input (see ``kernels``).
 
-    Made by ``PrandtlIshlinskii.rest``, ``.state_of`` or by a run; its arrays are not written to.
+    ``PrandtlIshlinskii.rest``, ``.state_of`` and every run return one; its arrays are read-only.
 
     count : (m,) height of each stack; end, x, d : (m, operator+1); below : (m, operator+1, p)
     window : (m, columns) which form each input is in, and how often it turned lately (see ``busy_kernels``)

@@ -41,11 +41,11 @@ class BoucWenPair:
 
     Parameters
     ----------
-    direct_um_per_v : d, the slope once z has come to its limit 1 / (beta + gamma) [um/V]
-    hysteretic_um_per_v : a, what z takes off the slope [um/V], of either sign; 0: a linear gain
-    beta_per_v : how fast z forgets [1/V], 0 or more: below, a loop would give energy
-    gamma_per_v : how much faster while it grows than while it falls [1/V], above -beta: at and below, z would
-        grow without limit; both 0: a line
+    direct_um_per_v : d, the slope when z is at its limit 1 / (beta + gamma) [um/V]
+    hysteretic_um_per_v : a, gain of z [um/V], of either sign; 0: a linear gain
+    beta_per_v : mean rate at which z relaxes [1/V], 0 or more: a negative one would generate energy
+    gamma_per_v : difference of this rate between growing and falling z [1/V], above -beta, or z would grow
+        without limit; both 0: a line
 
     Raises
     ------
@@ -126,21 +126,21 @@ class BoucWenState(Memory):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BoucWen(Hysteresis[BoucWenState], Identifiable):
-    """Bouc-Wen hysteresis of m inputs and p outputs, superposed, exponent 1.
+    """Bouc-Wen hysteresis with exponent 1; each of p outputs is a sum over m inputs.
 
         v_l = sum over inputs k of  d_lk u_k - a_lk z_lk
         dz_lk/dt = du_k/dt - beta_lk |du_k/dt| z_lk - gamma_lk du_k/dt |z_lk|
 
-    z depends on the way of the voltage, not on its rate: between two samples it is moved along the straight
-    line of the voltage, in steps of at most 1/64 of the voltage in which it relaxes, each by the midpoint
-    rule, which is rational. Its error is below 2e-4 of the limit of z, whatever the samples.
+    z depends on the path of the voltage, not on its rate. Between two samples the voltage is linear, and z is
+    integrated by the midpoint rule in steps of at most 1/64 of the relaxation voltage. The error is below
+    2e-4 of the limit of z, for any voltage step.
 
-    Minor loops do not close (no wiping-out) and depend on where they lie (no congruency).
+    Minor loops do not close (no wiping-out) and depend on their position (no congruency).
 
     Parameters
     ----------
     pairs : (output, input) nested sequence of ``BoucWenPair``
-    weight_covariance : (output,) covariance of d and a, pair after pair, where it is known; it holds for the
+    weight_covariance : (output,) covariance of d and a, pair after pair, if it is known; it holds for the
         beta and gamma of the model
 
     Raises
@@ -190,7 +190,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         return 2 * self.n_inputs * self.n_outputs
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         rates = [pair.load_per_v for row in self.pairs for pair in row if pair.hysteretic_um_per_v]
         knees = (
             " to ".join(dict.fromkeys(f"{1.0 / c:.3g}" for c in (max(rates), min(rates)) if c))
@@ -262,7 +262,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         )
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> BoucWen:
-        """Give the same beta and gamma with other d and a."""
+        """Return the same beta and gamma with other d and a."""
         rows = [
             [
                 replace(pair, direct_um_per_v=d, hysteretic_um_per_v=a)
@@ -277,7 +277,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         """Blocks whose pairs all bend alike in parts of the swing; see ``Identifiable``."""
         if not driven.half_swing_v.all():
             name = driven.inputs[int(np.argmin(driven.half_swing_v))]
-            raise IdentificationError(f"input {name} never moves: no record tells what it does")
+            raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
         found = []
         for rate, share in itertools.product(FIRST_RATES, FIRST_SHARES):
             load = rate / driven.half_swing_v
@@ -292,7 +292,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         return np.array([x for load, beta in pairs for x in (math.log(load), math.log(beta / load))])
 
     def at(self, free: Array) -> BoucWen:
-        """Give the same d and a with other beta and gamma."""
+        """Return the same d and a with other beta and gamma."""
         numbers = iter(np.exp(free.reshape(-1, 2)).tolist())
 
         def bent(pair: BoucWenPair) -> BoucWenPair:
@@ -334,7 +334,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         return Bounds(basis, side, bound)
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-        """Give beta and gamma of every pair."""
+        """Return beta and gamma of every pair."""
         return [
             f"from {name} to {output}: beta {pair.beta_per_v:.3g}, gamma {pair.gamma_per_v:.3g} 1/V"
             for output, row in zip(outputs, self.pairs, strict=True)
@@ -342,20 +342,22 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         ]
 
     def file(self) -> BoucWenFile:
-        """Give its form in a model file."""
+        """Form in a model file."""
         return BoucWenFile.model_validate(self)
 
 
 class BoucWenPairFile(PartFile):
     """One pair in a model file."""
 
-    direct_um_per_v: Weight = Field(description="slope once the hysteretic part has come to its limit")
-    hysteretic_um_per_v: Weight = Field(default=0.0, description="what the hysteretic part takes off")
-    beta_per_v: PerVolt = Field(default=0.0, description="how fast it forgets; 0 or more")
-    gamma_per_v: PerVolt = Field(default=0.0, description="how much faster growing than falling")
+    direct_um_per_v: Weight = Field(description="slope at the limit of the hysteretic part")
+    hysteretic_um_per_v: Weight = Field(default=0.0, description="gain of the hysteretic part")
+    beta_per_v: PerVolt = Field(default=0.0, description="rate at which it forgets; 0 or more")
+    gamma_per_v: PerVolt = Field(
+        default=0.0, description="difference of this rate between growing and falling z"
+    )
 
     def value(self) -> BoucWenPair:
-        """Give the pair this describes."""
+        """Return the pair this describes."""
         return BoucWenPair(**self.model_dump())
 
 
@@ -368,6 +370,6 @@ class BoucWenFile(HysteresisFile):
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 
     def hysteresis(self) -> BoucWen:
-        """Give the hysteresis this describes."""
+        """Return the hysteresis this describes."""
         pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
         return BoucWen(pairs, covariances(self.weight_covariance))

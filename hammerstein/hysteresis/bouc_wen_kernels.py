@@ -19,7 +19,7 @@ FEW = 4
 
 @helper()
 def moved(z, du, load, unload):  # type: ignore[no-untyped-def]
-    """Give z after a movement du: dz = du - c |du| z, c = load while z grows and unload while it falls.
+    """Return z after a movement du: dz = du - c |du| z, c = load while z grows and unload while it falls.
 
     Each step is the midpoint rule, which is rational: z <- (z (1 - c d / 2) + s d) / (1 + c d / 2). One in
     which z changes its sign ends at zero.
@@ -67,7 +67,7 @@ def respond_bouc_wen(u, direct, hysteretic, load, unload, z, last, first, stop, 
 
 @compiled()
 def lagging(u, load, unload, z, last, out):  # type: ignore[no-untyped-def]
-    """Give out (N,) the z of one pair for the voltages u (N,), from z where the voltage was ``last``.
+    """Return out (N,) the z of one pair for the voltages u (N,), from z where the voltage was ``last``.
 
     Movements of many steps go in closed form: a search comes to shapes that bend within a part of a sample.
     """
@@ -85,7 +85,7 @@ def lagging(u, load, unload, z, last, out):  # type: ignore[no-untyped-def]
 
 @helper()
 def moved_far(z, du, load, unload):  # type: ignore[no-untyped-def]
-    """Give z after a movement du as ``moved``, by the exponentials that its steps approach."""
+    """Return z after a movement du as ``moved``, by the exponentials that its steps approach."""
     sign = 1.0 if du > 0.0 else -1.0
     own, left = sign * z, abs(du)
     if own < 0.0:

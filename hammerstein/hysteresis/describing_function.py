@@ -100,7 +100,7 @@ def nonlinearity_of(
     thresholds_v: Array,
     range_v: float,
 ) -> HysteresisNonlinearity:
-    """Give a block of one pair behind a drive for python-control.
+    """Return a block of one pair behind a drive for python-control.
 
     of_amplitude : its describing function behind that drive
     thresholds_v : voltages by which a way must reverse until its operators move, sorted [V]
@@ -112,12 +112,12 @@ def nonlinearity_of(
     if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
         axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"
         raise InputError(
-            "describing function", f"is that of one pair; the block has {axes}: give one pair of it"
+            "describing function", f"needs a single pair; the block has {axes}: give one pair of it"
         )
     state: Any = hysteresis.rest()
     smallest, largest = float(thresholds_v[0]), float(thresholds_v[-1])
     if not range_v > smallest:
-        raise InputError("range_v", f"is {range_v:g}: nothing moves up to {smallest:g} V")
+        raise InputError("range_v", f"is {range_v:g}: nothing moves below {smallest:g} V")
 
     def move(u_v: float) -> float:
         nonlocal state

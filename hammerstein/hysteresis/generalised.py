@@ -52,15 +52,15 @@ class Envelope(ByValue):
 
         g(u) = line(u) + a tanh(b (u - c))
 
-    Beyond the outer points their lines go on.
+    Beyond the outer points, the outer lines continue.
 
     Parameters
     ----------
     voltages_v : (point,) two voltages or more, as they are sent [V], strictly increasing
     values_v : (point,) values of the lines there [V], strictly increasing
-    saturating_v : a, half of what the tangent adds [V], 0 or more
+    saturating_v : a, half of the range of the tangent [V], 0 or more
     steepness_per_v : b [1/V], 0 or more
-    centre_v : c, as voltages are sent [V]
+    centre_v : c, an absolute voltage [V]
 
     Raises
     ------
@@ -111,7 +111,7 @@ class Envelope(ByValue):
         return self.saturating_v > 0.0 and self.steepness_per_v > 0.0
 
     def of(self, u_v: ArrayLike) -> Array:
-        """Values at voltages as they are sent [V]."""
+        """Values at absolute voltages [V]."""
         u = np.asarray(u_v, dtype=np.float64)
         line = np.searchsorted(self.voltages_v[1:-1], u)
         straight = self.intercepts[line] + self.slopes[line] * u
@@ -161,7 +161,7 @@ class Envelope(ByValue):
         return np.concatenate(numbers)
 
     def with_free(self, free: Array) -> Envelope:
-        """Give the envelope with other ``free`` numbers; it rises by the distance of its outer points."""
+        """Return the envelope with other ``free`` numbers; it rises by the distance of its outer points."""
         low, span, n = float(self.voltages_v[0]), float(np.ptp(self.voltages_v)), len(self.voltages_v) - 2
         order = np.sort(free[:n]) + APART * np.arange(1, n + 1)
         knots = np.concatenate([[0.0], order, [1.0]])
@@ -211,25 +211,25 @@ def tanh_by_doubling(x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Generalised(Hysteresis[PlayState], Identifiable):
-    """Prandtl-Ishlinskii hysteresis of an envelope of each voltage, of m inputs and p outputs.
+    """Prandtl-Ishlinskii hysteresis behind an envelope of each voltage, for m inputs and p outputs.
 
         v_l = sum over inputs j and operators i of  w_lji play(g_j(u_j); r_lji)
 
-    Every input has one envelope for all outputs, so that the inverse is that of the plays, then that of the
-    envelope: exact, cross-couplings included. Loops bend and saturate, differently at both ends, while rising
-    and falling branch stay related as those of plays. Envelopes take voltages as they are sent; what the
-    plays see counts from the working point.
+    Each input has one envelope for all outputs. The inverse of the plays, then of the envelope, is therefore
+    exact, with cross-coupling. Loops bend and saturate, differently at both ends; rising and falling branches
+    are related as those of plays. Envelopes take absolute voltages; the inputs of the plays are relative to
+    the working point.
 
     Parameters
     ----------
     envelopes : of each input
     plays : the play operators; their thresholds are in the unit of the envelopes
     working_point_v : (m,) voltage from which the model counts [V]; zeros if not given
-    weight_covariance : (output,) covariance of the weights, where it is known
+    weight_covariance : (output,) covariance of the weights, if it is known
 
     Raises
     ------
-    InputError : as many envelopes as inputs are missing
+    InputError : another number of envelopes than of inputs
 
     Source: Al Janaideh, Rakheja and Su, IEEE/ASME Trans. Mechatronics 16 (2011) 734-744, with one envelope
     for both directions; the multivariable form is this work's.
@@ -277,7 +277,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return self.plays.operators
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         shapes = dict.fromkeys(
             "with a hyperbolic tangent" if one.bent else f"of {len(one.slopes)} lines"
             for one in self.envelopes
@@ -285,7 +285,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return f"{self.plays.describe()} of an envelope {' and '.join(shapes)}"
 
     def counted_from(self, working_point_v: ArrayLike) -> Generalised:
-        """Give the same hysteresis for voltages counted from another working point (m,) [V]."""
+        """Return the same hysteresis for voltages relative to another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
     @cached_property
@@ -295,12 +295,12 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return frozen([g.of(u).item() for g, u in zip(self.envelopes, rest, strict=True)])
 
     def inner(self, u_v: Array) -> Array:
-        """What the plays see (m, N) of voltages (m, N), both counted from the working point [V]."""
+        """Inputs of the plays (m, N) for voltages (m, N), both relative to the working point [V]."""
         each = zip(self.envelopes, u_v, np.asarray(self.working_point_v), self.home_v, strict=True)
         return np.stack([g.of(u + rest) - home for g, u, rest, home in each])
 
     def outer(self, x_v: Array) -> Array:
-        """Voltages (m, N) at which the plays see x (m, N), both counted from the working point [V]."""
+        """Voltages (m, N) for inputs x (m, N) of the plays, both relative to the working point [V]."""
         each = zip(self.envelopes, x_v, np.asarray(self.working_point_v), self.home_v, strict=True)
         return np.stack([g.at(x + home) - rest for g, x, rest, home in each])
 
@@ -328,7 +328,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return self.plays.weights
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Generalised:
-        """Give the same envelopes and thresholds with other weights."""
+        """Return the same envelopes and thresholds with other weights."""
         return Generalised(self.envelopes, self.plays.with_weights(weights), self.working_point_v)
 
     @property
@@ -341,7 +341,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         """Envelopes of four lines, and one with a tangent; see ``Identifiable``."""
         if not driven.half_swing_v.all():
             name = driven.inputs[int(np.argmin(driven.half_swing_v))]
-            raise IdentificationError(f"input {name} never moves: no record tells what it does")
+            raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
         grids = [np.append(0.0, r[r > 0.0]) for r in driven.thresholds_v]
         plays = PrandtlIshlinskii((tuple(Pair(r, np.ones(len(r))) for r in grids),) * driven.outputs)
         knots, found = np.concatenate([[0.0], FIRST_KNOTS, [1.0]]), []
@@ -373,7 +373,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return np.concatenate([part for r, one in each for part in (r, one.free)])
 
     def at(self, free: Array) -> Generalised:
-        """Give the same weights with other thresholds, which all outputs share, and envelopes."""
+        """Return the same weights with other thresholds, which all outputs share, and envelopes."""
         envelopes, thresholds, first = [], [], 0
         for k, (r, one) in enumerate(zip(self._moving, self.envelopes, strict=True)):
             places = np.sort(free[first : first + len(r)]) + APART * np.arange(len(r))
@@ -404,15 +404,15 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return self.plays.weight_bounds(output, input_, least, driven)
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-        """Give the shape of every envelope."""
+        """Return the shape of every envelope."""
         found = []
         for name, one in zip(inputs, self.envelopes, strict=True):
             least, most = one.all_slopes.min(), one.all_slopes.max()
-            found.append(f"plays of {name} see an envelope of slopes {least:.3g} to {most:.3g}")
+            found.append(f"plays of {name} have an envelope with slopes from {least:.3g} to {most:.3g}")
         return found
 
     def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Give a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
+        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
 
         Sines go about the working point; the first harmonic is that of the samples of the settled loop.
 
@@ -428,7 +428,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return nonlinearity_of(self, of_amplitude, soonest, range_v)
 
     def file(self) -> GeneralisedFile:
-        """Give its form in a model file."""
+        """Form in a model file."""
         parts = {"envelopes": self.envelopes, "pairs": self.plays.pairs}
         return GeneralisedFile.model_validate(parts | {"weight_covariance": self.weight_covariance})
 
@@ -436,16 +436,16 @@ class Generalised(Hysteresis[PlayState], Identifiable):
 class EnvelopeFile(PartFile):
     """An envelope in a model file."""
 
-    voltages_v: tuple[Offset, ...] = Field(description="of points, as they are sent")
-    values_v: tuple[Offset, ...] = Field(description="at these points; between them it is straight")
+    voltages_v: tuple[Offset, ...] = Field(description="of the points, as absolute voltages")
+    values_v: tuple[Offset, ...] = Field(description="at these points; linear between them")
     saturating_v: Annotated[float, Field(ge=0.0, le=1e6)] = Field(
         default=0.0, description="a in g = lines + a tanh(b (u - c))"
     )
     steepness_per_v: PerVolt = Field(default=0.0, description="b")
-    centre_v: Offset = Field(default=0.0, description="c, as voltages are sent")
+    centre_v: Offset = Field(default=0.0, description="c, as an absolute voltage")
 
     def value(self) -> Envelope:
-        """Give the envelope this describes."""
+        """Return the envelope this describes."""
         return Envelope(**self.model_dump())
 
 
@@ -459,7 +459,7 @@ class GeneralisedFile(HysteresisFile):
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 
     def hysteresis(self) -> Generalised:
-        """Give the hysteresis this describes."""
+        """Return the hysteresis this describes."""
         plays = PrandtlIshlinskii(tuple(tuple(pair.value() for pair in row) for row in self.pairs))
         envelopes = tuple(one.value() for one in self.envelopes)
         return Generalised(envelopes, plays, weight_covariance=covariances(self.weight_covariance))

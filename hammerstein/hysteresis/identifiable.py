@@ -1,8 +1,8 @@
-"""What identification asks of a kind of hysteresis: columns for its weights, other numbers in a box.
+"""Interface between identification and a kind of hysteresis: columns for weights, bounded other parameters.
 
-A kind that can be identified derives from ``Identifiable`` beside ``Hysteresis``. The one fit of the package
-then finds it: the weights by bounded least squares, the other numbers and the linear dynamics behind it by
-variable projection (Golub and Pereyra, Inverse Problems 19 (2003) R1).
+A kind that can be identified derives from ``Identifiable`` and ``Hysteresis``. The fit of the package then
+estimates the weights by bounded least squares, the other parameters and the linear dynamics by variable
+projection (Golub and Pereyra, Inverse Problems 19 (2003) R1).
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """How records drive the inputs: what a kind needs to know to begin with, and for its limits.
+    """Excitation of the inputs by the records, for initial guesses and limits of a kind.
 
     Parameters
     ----------
     low_v, high_v : (m,) lowest and highest voltage of each input, as sent [V]
-    working_point_v : (m,) voltage from which the first record counts [V]
+    working_point_v : (m,) voltage that the first record is relative to [V]
     outputs : number p of outputs
     inputs : names of the inputs
     thresholds_v : (m,) thresholds of each input that suit plays [V], sorted
     sample_time_s : of the records, the shortest [s]
     duration_s : of the longest record [s]
     fastest_rad_per_s : (m,) largest rms rate of a part of a record over the half swing of the input [rad/s]
-    several_rates : (m,) whether an input is driven so fast and so slowly that a rate can be told from a loop
+    several_rates : (m,) whether an input is driven at rates different enough to separate rate and loop
     invertible : whether the model shall have an inverse
-    given : whether the thresholds were asked for, so that all of them stay
-    dead_zones : number of dead-zones of an input that was asked for; None: as many as the records call for
+    given : whether the user gave the thresholds, so that all of them stay
+    dead_zones : requested number of dead-zones of an input; None: estimated
     """
 
     low_v: Array
@@ -61,16 +61,16 @@ class Driven:
 
 
 class Limits(NamedTuple):
-    """Smallest and largest value of each free number that records can determine."""
+    """Smallest and largest value of each free parameter that records can determine."""
 
     lower: Array
     upper: Array
 
 
 class ColumnChoice(NamedTuple):
-    """Sets of columns of which one is taken: masks (weight,) of what stays, the smallest set first.
+    """Alternative sets of columns, as masks (weight,) of the kept columns, the smallest set first.
 
-    ``beside`` is what stays of it while the choices before it are made.
+    ``beside`` is the mask that applies while earlier choices are made.
     """
 
     masks: Sequence[Flags]
@@ -89,46 +89,46 @@ class Bounds(NamedTuple):
 
 
 class Identifiable(ABC):
-    """The ability of a kind to be identified from records.
+    """Ability of a kind to be identified from records.
 
-    The numbers that are not weights are ``free``: they should be scaled so that 1 is a large change, such as
-    logarithms. A kind without any is identified by one linear least squares. Weights are those of
+    Parameters other than weights are ``free``. Scale them so that 1 is a large change, for example by
+    logarithms. A kind without free parameters is identified by one linear least squares. Weights are those of
     ``Hysteresis.weights``, in the same order.
     """
 
     passes_for_delay: ClassVar[bool] = False
-    """Whether what the kind does looks like a delay, so that none is searched for it."""
+    """Whether the effect of this kind looks like a delay, so that no delay is estimated."""
     finest: ClassVar[int] = 0
     """Thresholds of an input among which ``column_choices`` chooses; 0: those that suit plays are taken."""
 
     @classmethod
     @abstractmethod
     def first_guesses(cls, driven: Driven) -> Sequence[Self]:
-        """Blocks to begin with, of any weights, the smallest first; each is refined, and the best is kept.
+        """Initial blocks with any weights, the smallest first; each is refined, and the best is kept.
 
         Raises IdentificationError where the records cannot determine this kind.
         """
 
     @property
     def free(self) -> Array:
-        """Numbers beside the weights (number,) that are fitted."""
+        """Fitted parameters other than weights (number,)."""
         return np.empty(0)
 
     def at(self, free: Array) -> Self:
-        """Give the block with other free numbers (number,)."""
+        """Return the block with other free parameters (number,)."""
         return self
 
     @property
     def places(self) -> tuple[Array, ...]:
-        """Thresholds and breakpoints that are given and not among ``free``: sorted groups (place,) [V]."""
+        """Fixed thresholds and breakpoints, which are not ``free``: sorted groups (place,) [V]."""
         return ()
 
     def at_places(self, places: Sequence[Array]) -> Self:
-        """Give the block with its ``places`` elsewhere."""
+        """Return the block with other ``places``."""
         return self
 
     def limits(self, driven: Driven) -> Limits:
-        """Give the box of the free numbers; one that ends at a bound is reported as not determined."""
+        """Return the bounds of the free parameters; one at a bound is reported as not determined."""
         return Limits(np.empty(0), np.empty(0))
 
     def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
@@ -136,15 +136,15 @@ class Identifiable(ABC):
 
         Parameters
         ----------
-        u_v : (input, sample) voltages, counted from the working point [V]
-        before_v : (input, turn) voltages that went before, the last of them held [V]
+        u_v : (input, sample) voltages, relative to the working point [V]
+        before_v : (input, turn) earlier voltages, of which the last one is held [V]
         output : its number, from 0
-        passes : how often the voltages are gone through; only the last pass counts
+        passes : number of repetitions of the voltages; only the last one counts
 
         Returns
         -------
         values : (weight, sample) [V for plays]
-        held : (weight,) where they stood before the first sample
+        held : (weight,) values before the first sample
         """
         block: Hysteresis[Any] = self  # type: ignore[assignment]  # the ability of a hysteresis
         sizes, values, held = [len(w) for w in block.weights], [], []
@@ -159,41 +159,41 @@ class Identifiable(ABC):
         return np.array(values), np.array(held)
 
     def column_choices(self, driven: Driven) -> Sequence[ColumnChoice]:
-        """Sets of columns, the same of every output, that folds of the records choose from; none by default.
+        """Sets of columns, the same for every output, from which cross-validation chooses; none by default.
 
-        Where there are any, a ridge is chosen as well, see ``roughness``, and of several first guesses one.
+        If there are any, it also chooses a ridge, see ``roughness``, and one of several first guesses.
         """
         return ()
 
     def with_columns(self, kept: Flags) -> Self:
-        """Give the block with some of its columns, the same of every output: a mask (weight,)."""
+        """Return the block with some of its columns, the same of every output: a mask (weight,)."""
         raise NotImplementedError
 
     @property
     def roughness(self) -> Array:
-        """Combinations (number, weight) of the weights of an output that a ridge makes small."""
+        """Combinations (number, weight) of the weights of an output that a ridge penalises."""
         return np.zeros((0, 0))
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds | None:
-        """Bounds of the weights of one output so that it follows one input with an inverse.
+        """Bounds of the weights of one pair that keep the model invertible.
 
-        The slope of the pair must stay beyond ``least`` [um/V], on the side of its sign. None: not bounded.
+        The slope of the pair must exceed ``least`` [um/V], with its sign. None: no bounds.
         """
         return None
 
     def grown(self, driven: Driven) -> Sequence[Self]:
-        """Blocks with more numbers, tried after this one; none where it is as large as it gets."""
+        """Blocks with more parameters, tried after this one; empty if there are none."""
         return ()
 
     def without_own(self) -> tuple[Self, str] | None:
-        """The block whose numbers beside plays do nothing, and in words what they tell; None if it has none.
+        """The block with plays only, and the name of the effect that it lacks; None if there is none.
 
-        Where it is as good as the block itself, the records do not determine those numbers: plays are kept.
+        If it is as good as the block itself, the records do not determine the effect, and plays are kept.
         """
         return None
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-        """Sentences about the numbers that were found, for the report."""
+        """Sentences about the fitted parameters, for the report."""
         return []
 
 

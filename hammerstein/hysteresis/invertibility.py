@@ -74,20 +74,20 @@ class Invertibility:
             jumps = ", ".join(f"{jump:.3g} V on {self._name(k)}" for k, jump in enumerate(self.jump_v))
             return (
                 f"The model has an inverse for every reference: the determinants of its {total} slope "
-                "matrices have one sign."
-            ) + (f" Where an input turns, its drive jumps: {jumps}." if self.jump_v.any() else "")
+                "matrices have the same sign."
+            ) + (f" At turning points of an input, its drive jumps: {jumps}." if self.jump_v.any() else "")
         if self.unproven:
-            return f"That the model has an inverse is not proven: {self.unproven}."
+            return f"It is not proven that the model has an inverse: {self.unproven}."
         other = min(self.positive, self.negative)
         places = "; ".join(
-            f"{self._name(k)} with {n} operators engaged (thresholds to {r:.4g} V){self._between(k)}"
+            f"{self._name(k)} with {n} moving operators (thresholds up to {r:.4g} V){self._between(k)}"
             for k, (n, r) in enumerate(zip(self.engaged, self.thresholds_v, strict=True))
         )
         first = f"at {places}" if places else "this"
         slopes = np.array2string(self.slopes_um_per_v, precision=4, separator=", ").replace("\n", "")
         return (
-            f"The model has no inverse: of its {total} slope matrices {other} have a determinant of the "
-            f"other sign and {self.singular} are singular, first {first}: {slopes} um/V."
+            f"The model has no inverse: of its {total} slope matrices, {other} have a determinant of "
+            f"the other sign and {self.singular} are singular, first {first}: {slopes} um/V."
         )
 
 
@@ -124,9 +124,7 @@ def invertibility(
     False
     """
     if not isinstance(hysteresis, Sloped):
-        raise InputError(
-            "inverse", f"hysteresis of kind {hysteresis.kind!r} does not tell whether it has one"
-        )
+        raise InputError("inverse", f"hysteresis of kind {hysteresis.kind!r} has no test of invertibility")
     m, p = hysteresis.n_inputs, hysteresis.n_outputs
     require_square(m, p, "exact_inverse")
     columns = [outermost(hysteresis.slope_columns(k)) for k in range(m)]
@@ -193,7 +191,7 @@ def _why_unproven(weights: Array, mean: Array, *, always: bool) -> str:
         play of each input moves with it at all times
     """
     if not always:
-        return "a play without a threshold is missing, so that an input may move nothing"
+        return "there is no play without a threshold, so an input may move nothing"
     if abs(np.linalg.det(mean)) <= SINGULAR * np.prod(np.linalg.norm(mean, axis=0)):
         return "the mean slopes are singular"
     for k, own_weights in enumerate(weights):
@@ -204,10 +202,10 @@ def _why_unproven(weights: Array, mean: Array, *, always: bool) -> str:
         lowest = others[:, 0] + np.minimum(others[:, 1:], 0.0).sum(axis=1)
         most = float(np.maximum(highest, -lowest).sum())
         if least <= most + SINGULAR:
-            beside = f", and may move the others by {most:.3g} of theirs" if len(others) else ""
+            beside = f", and moves the others by up to {most:.3g} of theirs" if len(others) else ""
             return (
-                f"while thresholds change with the rate, the plays of input {k + 1} move in any combination; "
-                f"at the least it then keeps {least:.3g} of its own mean slope{beside}"
+                f"while thresholds change with the rate, the plays of input {k + 1} move in any "
+                f"combination; in the worst case, it keeps {least:.3g} of its own mean slope{beside}"
             )
     return ""
 
@@ -343,8 +341,8 @@ def completed(hysteresis: PrandtlIshlinskii | Asymmetric, amplitude_v: float) ->
     if p > m:
         raise InputError(
             "exact_inverse",
-            f"the model has {m} inputs for {p} outputs: {m} voltages cannot hold {p} positions at will; "
-            "leave out outputs or add inputs",
+            f"the model has {m} inputs for {p} outputs: {m} voltages cannot control {p} positions "
+            "independently; remove outputs or add inputs",
         )
     model = hysteresis
     if isinstance(model, PrandtlIshlinskii):
@@ -374,9 +372,9 @@ def require_inverse(found: Invertibility, law: str, run_anyway: bool) -> None:
     """Raise SimulationError with the reason unless there is an inverse or the caller insists."""
     if not (found.invertible or run_anyway):
         raise SimulationError(
-            f"{found.statement()} {law} needs one sign. Phase lag identified as hysteresis does this: "
-            "identify at a lower frequency, through the linear block, or with bounded partial sums; or set "
-            "run_anyway = true."
+            f"{found.statement()} {law} needs the same sign for all. Phase lag that is identified as "
+            "hysteresis causes this: identify at a lower frequency, with the linear block, or with "
+            "bounded partial sums; or set run_anyway = true."
         )
 
 

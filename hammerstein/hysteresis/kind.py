@@ -42,14 +42,14 @@ S = TypeVar("S", bound=Memory)
 
 
 class Hysteresis(ByValue, ABC, Generic[S]):
-    """A frozen value from m voltages, counted from the working point, to p displacements.
+    """Hysteresis from m voltages, relative to the working point, to p displacements; a frozen value.
 
-    Each output is linear in weights, whatever their operators are:
+    Each output is linear in the weights of its operators:
 
         v_l[k] = sum over i of  w_li  (operator i of the voltages until k)
 
     To add a kind, derive from this class, give it a file form (``HysteresisFile``) and register that.
-    What only some kinds have is an ability of its own, such as ``Sloped``; who needs one asks for it.
+    Abilities that only some kinds have are separate protocols, such as ``Sloped``.
     """
 
     kind: ClassVar[str]
@@ -73,17 +73,17 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
     @abstractmethod
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.describe()})"
 
     def on_grid(self, sample_time_s: float) -> Hysteresis[S]:
-        """Give the block on a sample grid; one that does not depend on the rate is the same on all."""
+        """Return the block on a sample grid; one that does not depend on the rate is the same on all."""
         return self
 
     def counted_from(self, working_point_v: ArrayLike) -> Hysteresis[S]:
-        """Give the block for voltages counted from a working point (m,) [V].
+        """Return the block for voltages relative to a working point (m,) [V].
 
         One that is the same about every voltage, as plays are, does not change.
         """
@@ -96,8 +96,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     def after(self, path_v: Array) -> S:
         """Memory of an actuator that was slowly driven along a path (m, turns) of voltages [V].
 
-        It was never driven before it stood at the first of them. Where a kind does not say otherwise that
-        is 0 V, from where it jumps to the path.
+        It was never driven before the first of them. By default it then jumps from 0 V to the path.
         """
         return self.respond(path_v)[1]
 
@@ -110,7 +109,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         return v[:, -1].copy(), state
 
     def restore(self, data: dict[str, Any]) -> S:
-        """Memory from what its ``as_dict`` gave."""
+        """Memory from the result of its ``as_dict``."""
         return self.rest().restored(data)
 
     @abstractmethod
@@ -120,12 +119,12 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     def respond(self, u_v: ArrayLike, start: S | None = None) -> tuple[Array, S]:
         """Outputs for a whole signal.
 
-        A signal too long for the computer's memory is worked off in blocks, each from the state after the
-        one before; the numbers are those of one piece to the last bit.
+        For a signal too long for the memory, call it block by block, each from the state after the previous
+        block; the numbers are the same to the last bit.
 
         Parameters
         ----------
-        u_v : (input, sample) voltages, counted from the working point [V], finite
+        u_v : (input, sample) voltages, relative to the working point [V], finite
         start : memory before the first sample; at rest if not given
 
         Returns
@@ -140,11 +139,11 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         """
         u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
         if u.ndim != 2 or u.shape[0] != self.n_inputs:
-            raise InputError("voltage", f"has shape {u.shape}; the model wants ({self.n_inputs}, samples)")
+            raise InputError("voltage", f"has shape {u.shape}; it must be ({self.n_inputs}, samples)")
         return self._respond(u, self.rest() if start is None else start)
 
     def carry_on(self, u_v: Array, start: S, first: int, stop: int, v_um: Array) -> S:
-        """Put outputs into v_um (p, sample) from one sample up to another, and give the memory after them.
+        """Write outputs into v_um (p, sample) for a range of samples, and return the memory after them.
 
         They are those of ``respond`` for the voltages (m, sample) between the two.
         """
@@ -173,7 +172,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         return self.amplitude(amplitude_v) / amplitude_v
 
     def extremes(self, low_v: Array, high_v: Array) -> tuple[Array, Array]:
-        """Least and largest position (p,) [um] from rest between voltages (m,), one of each input [V]."""
+        """Lowest and highest position (p,) [um] from rest between two voltages (m,) of each input [V]."""
         if not (np.isfinite(low_v).all() and np.isfinite(high_v).all()):
             return np.full(self.n_outputs, -np.inf), np.full(self.n_outputs, np.inf)
         paths = [self._swept(k, low, high) for k, (low, high) in enumerate(zip(low_v, high_v, strict=True))]
@@ -202,16 +201,16 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
     @abstractmethod
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
-        """Give the same operators with other weights, whose errors are not known."""
+        """Return the same operators with other weights, without standard errors."""
 
     @property
     @abstractmethod
     def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
-        """Covariance of the weights of each output, where it is known."""
+        """Covariance of the weights of each output, if it is known."""
 
     @property
     def weight_errors(self) -> tuple[Array, ...] | None:
-        """Standard errors of the weights of each output [um/V], where they are known."""
+        """Standard errors of the weights of each output [um/V], if they are known."""
         if self.weight_covariance is None:
             return None
         return tuple(np.linalg.norm(known.factor_um_per_v, axis=1) for known in self.weight_covariance)
@@ -219,15 +218,15 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     @property
     @abstractmethod
     def n_beside_weights(self) -> int:
-        """How many free numbers it has beside its weights: thresholds, breakpoints, growth."""
+        """Number of free parameters other than weights: thresholds, breakpoints, growth."""
 
     def drawn(self, generator: Normals) -> Self:
-        """Give another block, as far from this one as the covariance of its weights tells.
+        """Draw a random block from the covariance of its weights.
 
         Raises InputError where it is not known.
         """
         if self.weight_covariance is None:
-            raise InputError("hysteresis", "does not say how the errors of its weights hang together")
+            raise InputError("hysteresis", "does not state the covariance of its weights")
         known = zip(self.weights, self.weight_covariance, strict=True)
         return self.with_weights(
             [own + c.factor_um_per_v @ generator.standard_normal(len(own)) for own, c in known]
@@ -235,7 +234,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
     @abstractmethod
     def file(self) -> HysteresisFile:
-        """Give its form in a model file."""
+        """Form in a model file."""
 
     def to_iosys(self, sample_time_s: float, name: str = "hysteresis") -> BlockSystem:
         """Give the block as a discrete ``control.NonlinearIOSystem``, ``drive_v[k]`` to ``hysteresis_um[o]``.
@@ -276,7 +275,7 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
 
 
 class HysteresisFile(Strict, ABC):
-    """One kind of hysteresis in a model file, chosen by its ``kind``; also made of the hysteresis itself."""
+    """Form of one kind of hysteresis in a model file, selected by ``kind``."""
 
     model_config = ConfigDict(from_attributes=True)
 
@@ -288,7 +287,7 @@ class HysteresisFile(Strict, ABC):
 
     @abstractmethod
     def hysteresis(self) -> Hysteresis[Any]:
-        """Give the hysteresis this describes; InputError where it is none."""
+        """Return the hysteresis this describes; InputError where it is none."""
 
     @model_validator(mode="after")
     def _is_a_hysteresis(self) -> Self:

@@ -42,7 +42,10 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     voltages, thresholds = _line("u", u), _line("r", np.atleast_1d(r))
     plays = np.zeros(len(thresholds)) if start is None else _line("start", start).copy()
     if plays.shape != thresholds.shape:
-        raise InputError("play", f"start has {len(plays)} outputs, r {len(thresholds)} thresholds; one each")
+        raise InputError(
+            "play",
+            f"start has {len(plays)} outputs, r {len(thresholds)} thresholds; they must be equally many",
+        )
     outputs = np.empty((len(thresholds), len(voltages)))
     for first, stop in spans(len(voltages), 4 * len(thresholds)):
         play_bank(voltages, thresholds, plays, first, stop, outputs)
@@ -70,15 +73,17 @@ def _line(name: str, values: ArrayLike) -> Array:
     try:
         found = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError("play", f"{name} holds what is no number; give numbers in a line") from None
+        raise InputError(
+            "play", f"{name} contains a value that is no number; give a list of numbers"
+        ) from None
     if np.ndim(values) != 1:
         raise InputError(
             "play",
-            f"{name} has shape {np.shape(values)}; give numbers in a line. Several inputs at once are played "
-            "by PrandtlIshlinskii(...).respond",
+            f"{name} has shape {np.shape(values)}; give a list of numbers. For several inputs at "
+            "once, use PrandtlIshlinskii(...).respond",
         )
     if not np.isfinite(found).all():
-        raise InputError("play", f"{name} is not finite at place {int(np.argmin(np.isfinite(found)))}")
+        raise InputError("play", f"{name} is not finite at index {int(np.argmin(np.isfinite(found)))}")
     return found
 
 
@@ -86,8 +91,8 @@ def _line(name: str, values: ArrayLike) -> Array:
 class Pair(ByValue):
     """How one output responds to one input: a bank of play operators.
 
-    A linear gain is a bank with the single threshold 0, for a play of threshold 0 passes its input
-    unchanged; an absent pair is an empty bank (paper, definition 3.1).
+    A linear gain is a bank with the single threshold 0, because a play with threshold 0 equals its input. An
+    absent pair is an empty bank (paper, definition 3.1).
 
     Parameters
     ----------
@@ -150,7 +155,10 @@ class Pair(ByValue):
 def weighted_mistakes(name: str, places_v: Array, w: Array, errors: Array | None) -> Iterable[Mistake]:
     """What is wrong with weights, and their errors, of operators at some places; ``name`` says of which."""
     if places_v.ndim != 1 or w.shape != places_v.shape:
-        yield Mistake("weights_um_per_v", f"has shape {w.shape}, the {name} {places_v.shape}; give one each")
+        yield Mistake(
+            "weights_um_per_v",
+            f"has shape {w.shape}, the {name} {places_v.shape}; they must be equally many",
+        )
     if errors is not None and errors.shape != w.shape:
         yield Mistake("weight_errors_um_per_v", f"has shape {errors.shape}, the weights {w.shape}")
     if not np.isfinite(places_v).all():
@@ -200,4 +208,4 @@ def refuse_other_sizes(
     """Refuse covariances that are not those of so many weights (output, input)."""
     sizes = [sum(row) for row in operators]
     if weights is not None and [w.factor_um_per_v.shape for w in weights] != [(n, n) for n in sizes]:
-        raise InputError("weight_covariance", f"must have one factor an output, of {sizes} rows")
+        raise InputError("weight_covariance", f"must have one factor for each output, of {sizes} rows")

@@ -24,7 +24,7 @@ class PartFile(Strict, ABC):
 
     @abstractmethod
     def value(self) -> object:
-        """Give the part this describes; InputError where it is none."""
+        """Return the part this describes; InputError where it is none."""
 
     @model_validator(mode="after")
     def _is_a_part(self) -> Self:
@@ -40,7 +40,7 @@ class PairFile(PartFile):
     weight_errors_um_per_v: tuple[WeightError, ...] | None = None
 
     def value(self) -> Pair:
-        """Give the pair this describes."""
+        """Return the pair this describes."""
         return Pair(**self.model_dump())
 
 
@@ -56,11 +56,11 @@ class CovarianceFile(PartFile):
         description="rows of L, each up to its diagonal"
     )
     slopes_at_bound: NoCycles = Field(
-        default=0, description="slopes held at a bound of the fit: the covariance is that of the others"
+        default=0, description="slopes at a bound of the fit: the covariance is that of the other slopes"
     )
 
     def value(self) -> WeightCovariance:
-        """Give the covariance this describes."""
+        """Return the covariance this describes."""
         return WeightCovariance(
             lower_triangle("weight_covariance", self.factor_um_per_v), self.slopes_at_bound
         )

@@ -36,8 +36,8 @@ class Parallel(Hysteresis[ParallelState]):
 
         v = v_1 + v_2 + ...
 
-    It stands for actuators that no single kind describes: it is simulated, and neither identified nor
-    inverted.
+    It represents actuators that no single kind describes. It can be simulated, but neither identified
+    nor inverted.
 
     Parameters
     ----------
@@ -89,15 +89,15 @@ class Parallel(Hysteresis[ParallelState]):
         return sum(part.n_beside_weights for part in self.parts)
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         return " beside ".join(f"{part.kind} ({part.describe()})" for part in self.parts)
 
     def on_grid(self, sample_time_s: float) -> Parallel:
-        """Give the block on a sample grid."""
+        """Return the block on a sample grid."""
         return replace(self, parts=tuple(part.on_grid(sample_time_s) for part in self.parts))
 
     def counted_from(self, working_point_v: ArrayLike) -> Parallel:
-        """Give the same block for voltages counted from a working point (m,) [V]."""
+        """Return the same block for voltages relative to a working point (m,) [V]."""
         return replace(self, parts=tuple(part.counted_from(working_point_v) for part in self.parts))
 
     def rest(self) -> ParallelState:
@@ -129,7 +129,7 @@ class Parallel(Hysteresis[ParallelState]):
         return tuple(np.concatenate(rows) for rows in zip(*(p.weights for p in self.parts), strict=True))
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Parallel:
-        """Give the same operators with other weights."""
+        """Return the same operators with other weights."""
         parts, first = [], [0] * self.n_outputs
         for part in self.parts:
             sizes = [len(own) for own in part.weights]
@@ -144,7 +144,7 @@ class Parallel(Hysteresis[ParallelState]):
         return None
 
     def file(self) -> ParallelFile:
-        """Give its form in a model file."""
+        """Form in a model file."""
         return ParallelFile.model_validate({"parts": [part.file() for part in self.parts]})
 
 
@@ -161,5 +161,5 @@ class ParallelFile(HysteresisFile):
     parts: Annotated[tuple[Part, ...], Field(min_length=2)]
 
     def hysteresis(self) -> Parallel:
-        """Give the hysteresis this describes."""
+        """Return the hysteresis this describes."""
         return Parallel(tuple(part.hysteresis() for part in self.parts))

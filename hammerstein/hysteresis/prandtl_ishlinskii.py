@@ -30,21 +30,21 @@ LEAST_ENGAGED = 1e-3
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
-    """Rate-independent hysteresis of m inputs and p outputs: every output responds to every input.
+    """Rate-independent hysteresis of m inputs and p outputs; each output responds to each input.
 
         v_l[k] = sum over inputs j and operators i of  w_lji  play(u_j; r_lji)[k]      (paper, eq. 4)
 
-    Every pair has its own number of operators and its own thresholds; a pair may also be a linear gain
-    or absent. The model may be rectangular.
+    Each pair has its own number of operators and its own thresholds. A pair may also be a linear gain or
+    absent. Numbers of inputs and outputs may differ.
 
     Parameters
     ----------
     pairs : (output, input) nested sequence of ``Pair``
-    weight_covariance : (output,) covariance of the weights, where it is known
+    weight_covariance : (output,) covariance of the weights, if it is known
 
     Raises
     ------
-    InputError : rows of different length, no operator at all, or a covariance of other weights
+    InputError : rows of different lengths, no operator, or a covariance of other weights
 
     Examples
     --------
@@ -64,14 +64,14 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
         widths = {len(row) for row in self.pairs}
         if len(widths) != 1 or not self.pairs[0]:
-            what = "must hold one pair for every input of every output"
+            what = "must hold one pair for each input of each output"
             raise InputError("Prandtl-Ishlinskii model", [Mistake("pairs", what)])
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
             raise InputError("Prandtl-Ishlinskii model", "all pairs are absent; give at least one operator")
         refuse_other_sizes(self.operators, self.weight_covariance)
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         pairs = [pair for row in self.pairs for pair in row if len(pair.thresholds_v)]
         counts = sorted({len(pair.thresholds_v) for pair in pairs})
         thresholds = np.concatenate([pair.thresholds_v for pair in pairs])
@@ -127,7 +127,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         return self.state_of([np.zeros(n) for n in self.bank.n], at_rest=True)
 
     def state_of(self, plays_v: Sequence[ArrayLike], *, at_rest: bool = False) -> PlayState:
-        """State with given play outputs, one array an input on that input's threshold grid [V].
+        """State with given play outputs, one array for each input on that input's threshold grid [V].
 
         Raises InputError where no history of the input leads to them: neighbours may differ by no more
         than their thresholds do.
@@ -157,7 +157,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         return self.state_of([played(path, r) for path, r in zip(path_v, grids, strict=True)])
 
     def plays_of(self, state: PlayState) -> list[Array]:
-        """Play outputs held by a state, one array an input on that input's threshold grid [V]."""
+        """Play outputs held by a state, one array for each input on that input's threshold grid [V]."""
         bank, plays = self.bank, []
         for k, n in enumerate(bank.n):
             values, first = np.empty(n), 0
@@ -219,7 +219,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         return np.concatenate([self.bank.r[k, :n] for k, n in enumerate(self.bank.n)])
 
     def at(self, free: Array) -> PrandtlIshlinskii:
-        """Give the same weights with other thresholds; what falls below 0 lies as far above it."""
+        """Return the same weights with other thresholds; what falls below 0 lies as far above it."""
         ends = np.cumsum(self.bank.n)[:-1]
         old, new = np.split(self.free, ends), [np.sort(np.abs(part)) for part in np.split(free, ends)]
 
@@ -257,7 +257,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         return Bounds(basis, side, bound)
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> PrandtlIshlinskii:
-        """Give the same thresholds with other weights."""
+        """Return the same thresholds with other weights."""
         rows = []
         for row, own, counts in zip(self.pairs, weights, self.operators, strict=True):
             parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
@@ -265,11 +265,11 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         return PrandtlIshlinskii(tuple(rows))
 
     def file(self) -> PrandtlIshlinskiiFile:
-        """Give its form in a model file."""
+        """Form in a model file."""
         return PrandtlIshlinskiiFile.model_validate(self)
 
     def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Give a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
+        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
 
         Parameters
         ----------
@@ -303,8 +303,8 @@ def _checked_plays(plays: Array, r: Array, k: int) -> Array:
     if (np.abs(np.diff(plays)) > np.diff(r) + slack).any():
         i = int(np.argmax(np.abs(np.diff(plays)) - np.diff(r)))
         message = (
-            f"plays {i + 1} and {i + 2} of input {k + 1} differ by more than their thresholds; "
-            "no voltage leads there"
+            f"plays {i + 1} and {i + 2} of input {k + 1} differ by more than their thresholds; no "
+            "voltage leads to this state"
         )
         raise InputError("start", message)
     return plays
@@ -319,6 +319,6 @@ class PrandtlIshlinskiiFile(HysteresisFile):
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 
     def hysteresis(self) -> PrandtlIshlinskii:
-        """Give the hysteresis this describes."""
+        """Return the hysteresis this describes."""
         pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
         return PrandtlIshlinskii(pairs, covariances(self.weight_covariance))

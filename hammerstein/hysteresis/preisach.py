@@ -84,7 +84,7 @@ class Planes:
         return cls(rest_v, low_v, high_v, size, cells, node, beyond)
 
     def run(self, u_v: Array, start: PreisachState) -> tuple[Array, PreisachState]:
-        """Outputs (p, N) for voltages (m, N) counted from the working point, and the memory after them."""
+        """Outputs (p, N) for voltages (m, N) relative to the working point, and the memory after them."""
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.preisach_kernels import respond_preisach
 
@@ -124,13 +124,13 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         v_l = sum over inputs j of  integral over beta <= alpha of  mu_lj(alpha, beta) relay(u_j; alpha, beta)
 
     A relay switches on as u rises to alpha and off as it falls to beta. mu is constant in every cell of a
-    square grid; in a cell of the diagonal it stands on the diagonal alone, as a slope without hysteresis.
+    square grid; in a diagonal cell it is concentrated on the diagonal, as a slope without hysteresis.
     Between two levels of the grid a branch is then a straight line, and the output is continuous.
 
-    Loops between two voltages have one shape, whatever went before (congruency), and a way that turns and
-    comes back leaves no trace (wiping out); plays are the case of weights that are equal along every line
+    Loops between two voltages have the same shape for any history (congruency), and a closed excursion
+    leaves no trace (wiping out); plays are the case of weights that are equal along every line
     alpha - beta = 2 r. The memory is the staircase of dominant turns, the same for all outputs of an input.
-    Beyond the plane the output goes on along the ends of the largest loop, without hysteresis.
+    Beyond the plane, the output continues along the ends of the largest loop, without hysteresis.
 
     Parameters
     ----------
@@ -216,14 +216,14 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         return 0
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         sides = " and ".join(str(n) for n in dict.fromkeys(len(c) for c in self.cells_um_per_v[0]))
         m, p = self.n_inputs, self.n_outputs
         axes = f"{m} input{'s' * (m > 1)}, {p} output{'s' * (p > 1)}"
         return f"{axes}, a plane of {sides} cells a side for each input"
 
     def counted_from(self, working_point_v: ArrayLike) -> Preisach:
-        """Give the same hysteresis for voltages counted from another working point (m,) [V]."""
+        """Return the same hysteresis for voltages relative to another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
     @cached_property
@@ -276,11 +276,11 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
 
     @property
     def weight_covariance(self) -> None:
-        """Not known: the records determine sums of cells, and smoothness divides them."""
+        """None: the records determine sums of cells, and the smoothness distributes them."""
         return None
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
-        """Give the same planes with other weights."""
+        """Return the same planes with other weights."""
         rows = []
         for row, own, counts in zip(self.cells_um_per_v, weights, self.operators, strict=True):
             parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
@@ -317,7 +317,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         ]
 
     def column_choices(self, driven: Driven) -> list[ColumnChoice]:
-        """All cells: only how smooth they are is chosen; see ``Identifiable``."""
+        """All cells: only their smoothness is chosen; see ``Identifiable``."""
         whole = np.ones(sum(self.operators[0]), dtype=np.bool_)
         return [ColumnChoice([whole], whole)]
 
@@ -371,14 +371,14 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         return Bounds(np.eye(sum(counts)), side, bound)
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-        """Give the grid, and what part of it is no plays."""
+        """Return the grid, and what part of it is no plays."""
         found = []
         for name, cells in zip(inputs, self.cells_um_per_v[0], strict=True):
             found.append(f"the Preisach plane of {name} has {len(cells)} x {len(cells)} cells")
         return found
 
     def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Give a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
+        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
 
         Sines go about the working point; the first harmonic is that of the samples of the settled loop.
 
@@ -394,7 +394,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         return nonlinearity_of(self, of_amplitude, soonest, range_v)
 
     def file(self) -> PreisachFile:
-        """Give its form in a model file; the working point stands there once, with the voltages."""
+        """Form in a model file; the working point stands there once, with the voltages."""
         rows = tuple(tuple(lower_rows(cells) for cells in row) for row in self.cells_um_per_v)
         return PreisachFile(low_v=tuple(self.low_v), high_v=tuple(self.high_v), cells_um_per_v=rows)
 
@@ -412,7 +412,7 @@ class PreisachFile(HysteresisFile):
     cells_um_per_v: Annotated[tuple[tuple[Cells, ...], ...], Field(min_length=1)]
 
     def hysteresis(self) -> Preisach:
-        """Give the hysteresis this describes."""
+        """Return the hysteresis this describes."""
         rows = tuple(
             tuple(lower_triangle("cells_um_per_v", cells) for cells in row) for row in self.cells_um_per_v
         )

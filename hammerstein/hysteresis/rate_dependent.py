@@ -39,10 +39,10 @@ class RatePlays(ByValue):
     Parameters
     ----------
     thresholds_v : (operator,) thresholds r at rest [V], not negative, strictly increasing
-    growth_s : (operator,) growth b [s]: volts a threshold grows for each V/s; not negative, not falling, so
-        that the order of the plays stays
-    bandwidth_hz : of the low-pass through which the rate is seen [Hz]
-    lambda_s_per_v : lambda [s/V], where the growth flattens; 0: it does not
+    growth_s : (operator,) growth b [s]: volts for each V/s; not negative and not decreasing, so that plays
+        keep their order
+    bandwidth_hz : of the low-pass of the rate [Hz]
+    lambda_s_per_v : lambda [s/V], rate constant at which the growth flattens; 0: linear growth
 
     Raises
     ------
@@ -59,14 +59,22 @@ class RatePlays(ByValue):
         r, b = self.thresholds_v, self.growth_s
         mistakes = []
         if r.ndim != 1 or not r.size or b.shape != r.shape:
-            mistakes.append(Mistake("growth_s", f"has shape {b.shape}, the thresholds {r.shape}; one each"))
+            mistakes.append(
+                Mistake(
+                    "growth_s", f"has shape {b.shape}, the thresholds {r.shape}; they must be equally many"
+                )
+            )
         elif not (np.isfinite(r).all() and np.isfinite(b).all()):
             mistakes.append(Mistake("thresholds_v", "and growth_s must be finite"))
         else:
             if (r < 0.0).any() or (np.diff(r) <= 0.0).any():
                 mistakes.append(Mistake("thresholds_v", "must be 0 or more and strictly increasing"))
             if (b < 0.0).any() or (np.diff(b) < 0.0).any():
-                mistakes.append(Mistake("growth_s", "must be 0 or more and not fall: plays keep their order"))
+                mistakes.append(
+                    Mistake(
+                        "growth_s", "must be 0 or more and not decrease, so that the plays keep their order"
+                    )
+                )
         if not (self.bandwidth_hz > 0.0 and 0.0 <= self.lambda_s_per_v < math.inf):
             mistakes.append(Mistake("bandwidth_hz", "must be above 0, and lambda_s_per_v 0 or more"))
         if mistakes:
@@ -101,16 +109,17 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         p_i[k] = max(u[k] - R_i[k], min(u[k] + R_i[k], p_i[k-1])),   R_i[k] = r_i + b_i g(rho[k])
         rho[k] = a rho[k-1] + (1 - a) (u[k-1] - u[k-2]) / T,         a = exp(-2 pi f T)
 
-    The rate is strictly causal: it ends with the sample before. So the map of each sample is a classical one
-    with known thresholds, and has its exact inverse; with the rate of the same sample the inverse would
-    chatter once b / T comes near 1. What the loop from rate to voltage must satisfy is ``loop_gain``.
+    The rate is strictly causal: it uses voltages up to the previous sample. In each sample the thresholds are
+    therefore known, and the model has the exact inverse of plays; with the rate of the same sample the
+    inverse would chatter for b / T near 1. ``loop_gain`` states the stability of the loop from rate to
+    voltage.
 
     Parameters
     ----------
     inputs : plays of each input, shared by all outputs
     weights_um_per_v : (output, input) arrays of weights (operator,) [um/V]
-    sample_time_s : of the grid it stands on; None: none yet, see ``on_grid``
-    weight_covariance : (output,) covariance of the weights, where it is known
+    sample_time_s : of its sample grid [s]; None: no grid yet, see ``on_grid``
+    weight_covariance : (output,) covariance of the weights, if it is known
 
     Raises
     ------
@@ -163,13 +172,13 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return tuple(tuple(len(w) for w in row) for row in self.weights_um_per_v)
 
     def describe(self) -> str:
-        """Say in a few words what it is."""
+        """Short description."""
         counts = sorted({len(plays.thresholds_v) for plays in self.inputs})
         most = max(float(plays.growth_s.max()) for plays in self.inputs)
         operators = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
         return (
-            f"{self.n_inputs} inputs, {self.n_outputs} outputs, {operators} plays an input, thresholds grow "
-            f"by up to {most:.3g} V for each V/s"
+            f"{self.n_inputs} inputs, {self.n_outputs} outputs, {operators} plays for each input, "
+            f"thresholds grow by up to {most:.3g} V for each V/s"
         )
 
     @cached_property
@@ -185,7 +194,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return RateBank(n, r, b, np.array([plays.lambda_s_per_v for plays in self.inputs]), w)
 
     def on_grid(self, sample_time_s: float) -> RateDependent:
-        """Give the block on a sample grid."""
+        """Return the block on a sample grid."""
         return self if sample_time_s == self.sample_time_s else replace(self, sample_time_s=sample_time_s)
 
     @property
@@ -263,7 +272,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return tuple(np.concatenate(row) for row in self.weights_um_per_v)
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> RateDependent:
-        """Give the same plays with other weights."""
+        """Return the same plays with other weights."""
         ends = np.cumsum([len(plays.thresholds_v) for plays in self.inputs])[:-1]
         rows = tuple(tuple(np.split(np.asarray(own, dtype=np.float64), ends)) for own in weights)
         return replace(self, weights_um_per_v=rows, weight_covariance=None)
@@ -274,8 +283,9 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         for name, several in zip(driven.inputs, driven.several_rates, strict=True):
             if not several:
                 raise IdentificationError(
-                    f"input {name} is driven at one rate, which cannot tell how its thresholds grow; add one "
-                    "that is at least half as fast again, or use hysteresis prandtl_ishlinskii"
+                    f"input {name} has one rate only, which cannot identify the growth of its "
+                    "thresholds; add a record at least half as fast again, or use hysteresis "
+                    "prandtl_ishlinskii"
                 )
         found = []
         grids = [np.append(0.0, r[r > 0.0]) for r in driven.thresholds_v]
@@ -293,7 +303,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return tuple(plays.thresholds_v for plays in self.inputs)
 
     def at_places(self, places: Sequence[Array]) -> RateDependent:
-        """Give plays with other thresholds; what falls below 0 lies as far above it."""
+        """Return plays with other thresholds; what falls below 0 lies as far above it."""
         each = zip(self.inputs, places, strict=True)
         plays = tuple(replace(own, thresholds_v=np.sort(np.abs(r))) for own, r in each)
         return replace(self, inputs=plays, weight_covariance=None)
@@ -306,7 +316,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return np.array([*(math.log(2.0 * math.pi * hz * b) for b in growth), math.log(hz)])
 
     def at(self, free: Array) -> RateDependent:
-        """Give the same plays with other growth, alike for all but play(0), and another bandwidth."""
+        """Return the same plays with other growth, alike for all but play(0), and another bandwidth."""
         *gains, hz = np.exp(free).tolist()
         each = zip(self.inputs, gains, strict=True)
         plays = tuple(_grown_alike(own.thresholds_v, g / (2.0 * math.pi * hz), hz) for own, g in each)
@@ -346,18 +356,18 @@ class RateDependent(Hysteresis[RateState], Identifiable):
     def without_own(self) -> tuple[RateDependent, str]:
         """Plays whose thresholds do not grow."""
         still = tuple(replace(plays, growth_s=np.zeros(len(plays.growth_s))) for plays in self.inputs)
-        return replace(self, inputs=still, weight_covariance=None), "how thresholds grow with the rate"
+        return replace(self, inputs=still, weight_covariance=None), "growth of the thresholds with the rate"
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-        """Give the growth of every input."""
+        """Return the growth of every input."""
         return [
-            f"thresholds of {name} grow by {float(plays.growth_s[-1]):.3g} V for each V/s, seen through "
-            f"{plays.bandwidth_hz:.3g} Hz"
+            f"thresholds of {name} grow by {float(plays.growth_s[-1]):.3g} V for each V/s, for a rate "
+            f"with a bandwidth of {plays.bandwidth_hz:.3g} Hz"
             for name, plays in zip(inputs, self.inputs, strict=True)
         ]
 
     def file(self) -> RateDependentFile:
-        """Give its form in a model file; the sample time is that of who uses it."""
+        """Form in a model file; the sample time is that of who uses it."""
         return RateDependentFile.model_validate(self)
 
 
@@ -370,12 +380,14 @@ class RatePlaysFile(PartFile):
     """Plays of one input in a model file."""
 
     thresholds_v: tuple[Threshold, ...]
-    growth_s: tuple[Delay, ...] = Field(description="volts a threshold grows for each V/s")
+    growth_s: tuple[Delay, ...] = Field(description="growth of a threshold in V for each V/s")
     bandwidth_hz: Bandwidth = 500.0
-    lambda_s_per_v: Delay = Field(default=0.0, description="where the growth flattens; 0: it does not")
+    lambda_s_per_v: Delay = Field(
+        default=0.0, description="rate constant at which the growth flattens; 0: linear growth"
+    )
 
     def value(self) -> RatePlays:
-        """Give the plays this describes."""
+        """Return the plays this describes."""
         return RatePlays(**self.model_dump())
 
 
@@ -389,7 +401,7 @@ class RateDependentFile(HysteresisFile):
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 
     def hysteresis(self) -> RateDependent:
-        """Give the hysteresis this describes."""
+        """Return the hysteresis this describes."""
         return RateDependent(
             tuple(plays.value() for plays in self.inputs),
             tuple(tuple(np.asarray(w, dtype=float) for w in row) for row in self.weights_um_per_v),

@@ -18,7 +18,7 @@ SERIES = tuple(1.0 / n for n in range(23, 0, -2))
 
 @helper()
 def log_of_one_and(x):  # type: ignore[no-untyped-def]
-    """Give log(1 + x) for x from 0 to 2^128 by sums and products alone: every machine gives the same bits.
+    """Return log(1 + x) for x from 0 to 2^128 by sums and products alone: every machine gives the same bits.
 
     1 + x = 2^e (1 + f) with 1 + f up to the root of 2; log(1 + f) = 2 artanh(f / (2 + f)).
     """
@@ -45,7 +45,7 @@ def next_rate(k, sample_time, pole, last, rate):  # type: ignore[no-untyped-def]
 
 @helper()
 def size_of(k, lam, rate):  # type: ignore[no-untyped-def]
-    """Give g(rate) of input k: |rate| or, where lambda is given, log(1 + lambda |rate|) / lambda."""
+    """Return g(rate) of input k: |rate| or, where lambda is given, log(1 + lambda |rate|) / lambda."""
     size = abs(rate[k])
     if lam[k] > 0.0:
         size = log_of_one_and(lam[k] * size) / lam[k]
@@ -93,7 +93,7 @@ def play_outputs(u, sample_time, pole, r, b, lam, plays, last, rate, p):  # type
 
 @helper()
 def _sizes(k, u, sample_time, pole, lam, last, rate, begin, end, size):  # type: ignore[no-untyped-def]
-    """Give size (end - begin,) the g(rate) of each sample of input k, and move its memory on."""
+    """Return size (end - begin,) the g(rate) of each sample of input k, and move its memory on."""
     for t in range(begin, end):
         next_rate(k, sample_time, pole, last, rate)
         size[t - begin] = size_of(k, lam, rate)
@@ -102,7 +102,7 @@ def _sizes(k, u, sample_time, pole, lam, last, rate, begin, end, size):  # type:
 
 @helper()
 def _played(u, r, b, size, held, begin, end, p):  # type: ignore[no-untyped-def]
-    """Give p (end - begin,) the outputs of one play, which begins at ``held``, and where it ends.
+    """Return p (end - begin,) the outputs of one play, which begins at ``held``, and where it ends.
 
     Play after play: each writes what lies side by side in memory.
     """

@@ -47,7 +47,7 @@ def outermost(columns: Array) -> Array:
 def every_matrix(columns: Sequence[Array]) -> Array:
     """Every matrix (combination, row, input) with one of the columns (choice, row) of each input."""
     if any(len(column) == 0 for column in columns):
-        raise SimulationError("An input moves no output: the model has no inverse.")
+        raise SimulationError("An input moves no output, so the model has no inverse.")
     number = int(np.prod([len(column) for column in columns], dtype=float))
     if number > LARGEST_NUMBER:
         raise SimulationError(

@@ -54,7 +54,7 @@ class Errors(NamedTuple):
 def _left_out(records: Sequence[Record]) -> list[str]:
     """Outliers that the records were read without."""
     return [
-        f"{record.source}: outliers of {found.column} are left out: {found.describe()}"
+        f"{record.source}: excluded outliers of {found.column}: {found.describe()}"
         for record in records
         for found in record.outliers
     ]
@@ -158,7 +158,10 @@ def _unknown(task: Task, built: Built, response: Array, known: ParameterCovarian
     """What the excitation cannot tell."""
     record = task.records[0]
     sums = [
-        f"single weights between {record.inputs[k]} and {record.outputs[o]}: only sums of them are told"
+        (
+            f"individual weights from {record.inputs[k]} to {record.outputs[o]}: the records only "
+            "determine sums of them"
+        )
         for o, k in built.best.blocks.chosen.open
     ]
     axes = axis_statements(record.outputs, built.axes) if built.axes else []
@@ -187,8 +190,8 @@ def _open_places(task: Task, built: Built, known: ParameterCovariance | None) ->
     for i in known.open:
         found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
     return [
-        f"the place of {len(own)} of the thresholds of input {name} ({', '.join(own)} V): the "
-        "records tell it hardly better than that it lies between its neighbours"
+        f"{len(own)} thresholds of input {name} ({', '.join(own)} V): the records hardly determine "
+        "their place between their neighbours"
         for name, own in found.items()
     ]
 

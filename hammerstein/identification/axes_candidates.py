@@ -243,7 +243,7 @@ def _others(
     for guess, fit in zip(guesses, fits, strict=True):
         late = replace(task, delay_samples=guess.delay_samples)
         blocks = static_blocks(late, task.thresholds_v, _as_found(fit.axes), task.settings.solver)
-        name = f"plays as begun with, {guess.shapes[0].name}"
+        name = f"plays for the start, {guess.shapes[0].name}"
         model = late.candidate(blocks.chosen.hysteresis, _as_found(fit.axes))
         found.append((name, Found(model, blocks, fit.axes)))
     return tuple(found)
@@ -265,7 +265,7 @@ def _with_lag_and_creep(
         ["creep"] if settings.creep_modes == "auto" else []
     )
     for step in steps:
-        task.progress(f"trying a {'low-pass' if step == 'lag' else 'creep mode'} beside it")
+        task.progress(f"trying an additional {('low-pass' if step == 'lag' else 'creep mode')}")
         found = tuple(_with(task, grids, blocks, o, fit, step) for o, fit in enumerate(axes))
         if all(new.axis is old.axis for new, old in zip(found, axes, strict=True)):
             axes = found

@@ -100,7 +100,7 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     )
     delay = begin.delay_samples
     if free_delay and all(len(x) for x in begins):
-        task.progress("searching the delay")
+        task.progress("estimating the delay")
         delay, begins = _delay(many, few, delay, begins)
     return Behind(tuple(_nearer(one, x, delay) for one, x in zip(whole, begins, strict=True)), delay)
 
@@ -222,7 +222,7 @@ def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) 
     here = refine(replace(one, shape=shape), x, SEARCHED) if shape.parameters else None
     x, error = (here.x, here.rms) if here else (x, rms_behind(replace(one, shape=shape), x))
     while True:
-        task.progress(f"trying the dynamics from the hysteresis to {name}: {shape.name} so far")
+        task.progress(f"trying dynamics from the hysteresis to {name}: {shape.name} so far")
         steps = [step for step in fast if not getattr(shape, step)]
         steps += ["creep"] if shape.creep_modes < most else []
         tried = [_with(quick, shape, x, step) for step in steps]

@@ -38,10 +38,10 @@ READINGS = 3
 """Readings that a free number must have at least: with fewer, folds that lie between those that were fitted
 are guessed from their neighbours."""
 CLOSE = (
-    f"within {100.0 * FELT:.0f} % of the least, or within {100.0 * MOST_WORSE:.0f} % and one standard error "
-    "of it"
+    f"within {100.0 * FELT:.0f} % of the lowest, or within {100.0 * MOST_WORSE:.0f} % and one "
+    "standard error of it"
 )
-NO_BETTER = f"no better by more than {100.0 * FELT:.0f} % or chance"
+NO_BETTER = f"better by at most {100.0 * FELT:.0f} % or one standard error"
 """The same in words: rms error of a simpler model that is kept, and what is said of the larger one."""
 
 

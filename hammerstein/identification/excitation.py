@@ -67,16 +67,16 @@ def refuse_noise(records: Sequence[Record], response: Array) -> None:
     """
     if all(_is_noise(y) for record in records for y in record.y_um):
         raise IdentificationError(
-            "no output follows a voltage: the readings are noise; check the columns, the wiring and the "
-            "sensor"
+            "no output responds to a voltage: the readings are noise; check the columns, the wiring "
+            "and the sensor"
         )
     silent = response < RESPONDED
     names, swing = records[0].inputs, half_swing(records)
     for k in np.flatnonzero(silent & (swing < SMALL * swing.max())):
         if all(_is_noise(record.u_v[k]) for record in records):
             raise IdentificationError(
-                f"input {names[k]} is never driven: it moves by {2.0 * swing[k]:.3g} V of noise, and no "
-                "output responds; drive it in a record of its own, or leave it out of the inputs"
+                f"input {names[k]} is never driven: it only has {2.0 * swing[k]:.3g} V of noise, and "
+                "no output responds; drive it in a record of its own, or remove it from the inputs"
             )
 
 
@@ -94,8 +94,8 @@ def refuse_one_way(records: Sequence[Record]) -> None:
     """
     if not any(_turns(record, k) for record in records for k in range(len(record.u_v))):
         raise IdentificationError(
-            "no voltage turns in any record, so that hysteresis and curvature are the same; record a full "
-            "cycle or more"
+            "no voltage turns in any record, so hysteresis and curvature cannot be separated; record "
+            "a full cycle or more"
         )
 
 
@@ -103,14 +103,14 @@ def excitation_statements(records: Sequence[Record], response: Array) -> list[st
     """What the voltages could not tell, because they were too small or never turned."""
     names, swing = records[0].inputs, half_swing(records)
     found = [
-        f"single weights of {names[k]}: its {2.0 * swing[k]:.3g} V move the outputs by {response[k]:.2g} "
-        "times what the model leaves; drive it by more"
+        f"individual weights of {names[k]}: its {2.0 * swing[k]:.3g} V move the outputs by only "
+        f"{response[k]:.2g} times the prediction error; use a larger voltage"
         for k in range(len(names))
         if response[k] < TOLD and swing[k] < SMALL * swing.max()
     ]
     return found + [
-        f"hysteresis of {name}: its voltage never turns, so that lag and curvature are the same; record a "
-        "full cycle or more"
+        f"hysteresis of {name}: its voltage never turns, so lag and curvature cannot be separated; "
+        "record a full cycle or more"
         for k, name in enumerate(names)
         if not any(_turns(record, k) for record in records)
     ]

@@ -80,7 +80,7 @@ class _FirstModels:
     gathered: dict[tuple[int, Start], list[Moments]] = field(default_factory=dict)
 
     def fitted(self, starts: Sequence[Start]) -> Candidate:
-        """Give the model for records that begin in given ways."""
+        """Return the model for records that begin in given ways."""
         task = self._task(starts)
         dynamics = self.guess.dynamics() if self.guess else StaticDynamics(n_outputs=task.outputs)
         layout = SlopeColumns.of(task.thresholds_v)
@@ -110,7 +110,7 @@ def first_task(
     records: tuple[Record, ...], settings: Settings, tell: Progress
 ) -> tuple[Task, tuple[FirstGuess, ...], tuple[CurvePoint, ...]]:
     """Starts, delays and thresholds of the records, and axes near the best ones."""
-    tell("looking at how the records begin")
+    tell("estimating the initial states")
     begun = _first_starts(records, settings)
     guesses = guesses_of(records, begun, settings, tell)
     last = guesses[-1] if guesses else None
@@ -146,7 +146,7 @@ def _static_delay(
     """Delay that suits a model without dynamics, with thresholds that are not fitted yet."""
     if settings.dynamics == "state_space":
         return settings.delay_samples or 0
-    tell("searching the delay")
+    tell("estimating the delay")
     few, begun = shortened(records, starts, CURVE_SAMPLES)
     thresholds_v = _fine(settings).thresholds(few, DELAY_OPERATORS)
     return late_static(

@@ -60,7 +60,7 @@ class Fit(NotebookRepr):
     amplitude_v : largest half swing of an input in the records [V]
     amplitudes_v : (input,) half swing of each one [V]
     voltages : working point and range of the records
-    delay_samples : samples by which the outputs come late, beside the sensor's delay
+    delay_samples : delay of the outputs in samples, without the sensor's delay
     sample_time_s : time between samples of the records [s]
     sensor_bandwidth_hz : what the sensor was taken for [Hz]
     sensor_delay_s : time by which its readings were taken to be late [s]; not in ``delay_samples``
@@ -70,13 +70,13 @@ class Fit(NotebookRepr):
     axes : resonances and damping with their standard errors, where the model has them
     trials : every model that was tried, with its error on what it was not fitted to
     order : order of a state-space model
-    error_curve : held-out error against the number of operators
-    not_identifiable : what the excitation cannot tell
-    flags : what a model of this kind cannot represent
-    notes : what was done to the records
+    error_curve : cross-validation error against the number of operators
+    not_identifiable : parameters that the records do not identify
+    flags : effects that a model of this kind cannot represent
+    notes : notes on the records and the fit
     invertible : whether the model has an inverse
     invertibility : the same as a sentence, with the frequency or the slope to blame
-    verdict : which block improves the model
+    verdict : conclusion: blocks that improve the model, errors and flags
     candidates : the models behind the errors
     covariance : of all parameters of the model together
     records, held : the records as they were fitted and judged, without their dead start
@@ -117,22 +117,22 @@ class Fit(NotebookRepr):
     def __repr__(self) -> str:
         errors = self.judged[self.kind].nrmse_percent
         left = ", ".join(f"{name} {e:.3g} %" for name, e in zip(self.outputs, errors, strict=True))
-        where = "on validation records" if self.validation else "on the records it was fitted to"
+        where = "on validation records" if self.validation else "on the fitted records"
         flagged = f"; {len(self.flags)} flags" if self.flags else ""
         return f"Fit({self.kind}: {left} of the range {where}{flagged})"
 
     @property
     def judged(self) -> Mapping[Kind, Score]:
-        """Errors that the verdict rests on: on validation records, if there are any."""
+        """Errors that the verdict uses: on validation records, if there are any."""
         return self.validation or self.fit
 
     @property
     def is_static(self) -> bool:
-        """Whether the model that is kept has no linear block."""
+        """Whether the chosen model has no linear block."""
         return self.kind in ("linear", "static_hysteresis")
 
     def as_dict(self) -> dict[str, Any]:
-        """Give plain values for JSON: ``fit`` and ``validation`` hold the errors of each kind of model."""
+        """Return plain values for JSON: ``fit`` and ``validation`` hold the errors of each kind of model."""
         plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _OWN_FORM}
         return plain | {
             "voltages": self.voltages.model_dump(mode="json"),
@@ -155,5 +155,5 @@ def _plain(axis: AxisFit) -> dict[str, Any]:
 
 
 def finite(value: float) -> float | None:
-    """Give the number, or None where it is none: JSON has no infinity."""
+    """Return the number, or None where it is none: JSON has no infinity."""
     return value if math.isfinite(value) else None

@@ -51,8 +51,9 @@ def _told(work: Callable[P, T]) -> Callable[P, T]:
             return work(*args, **options)
         except np.linalg.LinAlgError as error:
             raise IdentificationError(
-                f"the records do not determine what was asked for: its equations cannot be solved ({error}). "
-                "Record longer, or ask for less: fewer operators, another partition, no dynamics"
+                "the records do not determine the requested model: its equations cannot be solved "
+                f"({error}). Use longer records or a simpler model: fewer operators, another "
+                "partition, no dynamics"
             ) from None
 
     return identified
@@ -69,22 +70,22 @@ def identify(
     instruments: Instruments | None = None,
     progress: Progress | None = None,
 ) -> tuple[HammersteinModel, Fit]:
-    """Identify a model from measured records, and say how good it is.
+    """Identify a model from measured records and report its errors.
 
-    Linear gain, static Prandtl-Ishlinskii block, linear dynamics alone and the Hammerstein model are fitted
-    beside each other, each as far as it was asked for. The model with the fewest parameters that is as good
-    as the best on parts of the fitted records that are left out in turn is returned (see ``choice.chosen``).
-    Nothing is chosen by the records held back: they are used once, for the error that stands beside that of
-    the parts. The verdict says what each block is worth, and what no model explains.
+    The candidates are a linear gain, a static Prandtl-Ishlinskii block, linear dynamics alone and the
+    Hammerstein model, as far as ``settings`` allows. The function returns the model with the fewest
+    parameters whose cross-validation error is as good as the best (see ``choice.chosen``). Validation records
+    do not affect the choice: they are used once, for their error. The verdict states which blocks improve the
+    model, and which effects it cannot represent.
 
     Parameters
     ----------
     records : experiments on one actuator, with any inputs driven in each
-    settings : how it is done; if not given, thresholds, their number and the dynamics are found
+    settings : options; if not given, thresholds, their number and the dynamics are chosen automatically
     validation : validation records: reported, never used to choose
     name : of the model
     instruments : drive and sensor for the model file; ideal ones on the records' sample time if not given
-    progress : told what is being done
+    progress : called with the current step
 
     Returns
     -------
@@ -125,7 +126,7 @@ def identify(
     response = responses(largest, ready, task.starts)
     refuse_noise(ready, response)
     held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
-    tell("judging the models")
+    tell("testing the models")
     built, trials = _kept(task, built)
     if not plain:
         task, built = with_hysteresis(replace(task, settings=asked), built)
@@ -139,7 +140,7 @@ def identify(
     fitted = _scores(built, ready, task.starts, settings)
     judged = _scores(built, held, held_starts, settings) if held else {}
     errors = Errors(fitted, judged, held, held_starts, response, trials)
-    tell("finding how sure the parameters are")
+    tell("estimating the standard errors")
     known = parameter_covariance(
         built.best.candidate, task.records, task.starts, plain and built.best.blocks.fitted
     )
@@ -198,7 +199,7 @@ def from_last_rest(
     accept_order : whether an output may lead its input
     """
     if not records:
-        raise InputError("records", "none was given")
+        raise InputError("records", "there are none")
     _refuse_mixed(records)
     _refuse_twice(records)
     if not accept_order:
@@ -217,7 +218,7 @@ def _refuse_mixed(records: Sequence[Record]) -> None:
     shapes = {(len(record.u_v), len(record.y_um)) for record in records}
     if len(shapes) > 1:
         listed = ", ".join(f"{m} inputs and {p} outputs" for m, p in sorted(shapes))
-        raise InputError("records", f"do not have the same axes: {listed}")
+        raise InputError("records", f"have different axes: {listed}")
 
 
 def _refuse_twice(records: Sequence[Record]) -> None:
@@ -225,7 +226,9 @@ def _refuse_twice(records: Sequence[Record]) -> None:
     for i, record in enumerate(records):
         for other in records[:i]:
             if _are_one(record, other):
-                named = "twice" if record.source == other.source else f"as {other.source} already"
+                named = (
+                    "twice" if record.source == other.source else (f"is the same record as {other.source}")
+                )
                 raise InputError(record.source, f"is given {named}: give every record once")
 
 

@@ -137,8 +137,8 @@ def _untold(task: Task, thresholds_v: Thresholds, found: Whole) -> str:
     if chosen([replace(alone, parameters=0), with_own]):
         return ""
     return (
-        f"{words}: plays alone leave {alone.percent:.3g} % of the range on folds of the records, "
-        f"{task.settings.hysteresis} {with_own.percent:.3g} %; plays are kept"
+        f"{words}: the cross-validation error of plays alone is {alone.percent:.3g} % of the range, "
+        f"that of {task.settings.hysteresis} {with_own.percent:.3g} %; the model keeps plays"
     )
 
 
@@ -322,11 +322,12 @@ def _of_kind(
     record = task.records[0]
     notes = [*fit.block.statements(record.inputs, record.outputs), *_bounded(task, fit.held)]
     if kind.passes_for_delay:
-        late = f"a delay of {task.delay_samples:g} samples was taken as known"
-        notes.append(f"{late}: it looks like what this kind does")
+        late = f"used a known delay of {task.delay_samples:g} samples"
+        notes.append(f"{late}: a delay and growing thresholds look alike")
     if fit.at_limit:
         notes.append(
-            f"{len(fit.at_limit)} numbers of the block end at a limit: the records do not determine them"
+            f"{len(fit.at_limit)} parameters of the hysteresis reach a limit: the records do not "
+            "determine them"
         )
     at_limit = bool(fit.at_limit)
     return Replacement(fit.hysteresis, tuple(notes), ridge, picked, at_limit=at_limit), fit.behind
@@ -361,6 +362,7 @@ def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
 def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
     record = task.records[0]
     return [
-        f"slopes from {record.inputs[k]} to {record.outputs[o]} held at a bound, or there were no inverse"
+        f"slopes from {record.inputs[k]} to {record.outputs[o]} held at their lower bound so that the model "
+        "stays invertible"
         for o, k in held
     ]

@@ -54,8 +54,10 @@ class KnownSensor:
         if samples == 0:
             return record
         if record.samples - samples < FEWEST_SAMPLES:
-            what = f"has {record.samples} samples, and the sensor is said to come {samples} late"
-            raise InputError(record.source, f"{what} ({self.delay_s:g} s); check its delay, or record longer")
+            what = f"has {record.samples} samples, but the sensor delay is {samples} samples"
+            raise InputError(
+                record.source, f"{what} ({self.delay_s:g} s); check this delay, or record longer"
+            )
         if record.period_samples is not None and record.samples % record.period_samples == 0:
             return replace(record, y_um=np.roll(record.y_um, -samples, axis=1), verified=True)
         kept = record.part(samples, record.samples)

@@ -26,8 +26,8 @@ MOST_DRIFT = 0.1
 """Drift of an output, in parts of its range, up to which a model is fit for use: evenly spread it adds 0.29
 of itself to the rms error, which is stated."""
 OF_A_CREEPING_MODEL = (
-    ". The model creeps, and leaves a part of it, which may be what this kind of model lacks: hammerstein "
-    "compare tries the others"
+    ". The model has creep, but some creep remains in the prediction error, perhaps because of the "
+    "kind of model: hammerstein compare tries the others"
 )
 
 
@@ -53,9 +53,9 @@ def leftover_statements(
         above = float(f"{rms[o] / noise[o]:.2g}") if noise[o] > 0.0 else 0.0  # two digits, and no exponent
         times = f"{above:g} times the noise" if above else "far above the noise"
         found.append(
-            f"What the model leaves of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
-            f"({noise[o]:.2g} um), most of it near {hz:.3g} Hz: something in the records is not in the "
-            f"model. {_proposal(settings)}."
+            f"The prediction error of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
+            f"({noise[o]:.2g} um), mostly near {hz:.3g} Hz: the records contain an effect that the "
+            f"model lacks. {_proposal(settings)}."
         )
     return found
 
@@ -123,6 +123,6 @@ def _proposal(settings: Settings) -> str:
         return f"Not tried: {'; or '.join(tried)}"
     kinds = "hammerstein compare tries every kind on these records; " if settings.hysteresis == PLAYS else ""
     return (
-        f"{kinds}records with fewer effects at once (slower, one axis at a time) tell more: saturation and "
-        "coupled resonances are not in this kind of model"
+        f"{kinds}use records with fewer effects at once (slower, one axis at a time): this kind of "
+        "model has no saturation and no coupled resonances"
     )

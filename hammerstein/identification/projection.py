@@ -112,7 +112,7 @@ def fit_block(
         near = [tries[i].arrived(places[i], ROUGHLY) for i in order]
         best = min(near, key=lambda place: place.cost)
         if not math.isfinite(best.cost):
-            raise IdentificationError("no block of this kind can be found that follows the records")
+            raise IdentificationError("no block of this kind follows the records")
         begins, found = [best.block], Behind(_axes_of(best, found), found.delay_samples)
     if refined:
         thinned = _Search(late, begins[0], driven, found, thinning(task.records) if found.axes else 1)

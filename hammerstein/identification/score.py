@@ -79,7 +79,7 @@ def path_before(record: Record, start: Start) -> Array:
 
 @dataclass(frozen=True)
 class Score:
-    """How far a model is off, one number an output.
+    """How far a model is off, one number for each output.
 
     Parameters
     ----------

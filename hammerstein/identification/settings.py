@@ -41,35 +41,38 @@ CHOICES = {
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """How an identification is done.
+    """Options of an identification.
 
     Parameters
     ----------
-    operators : thresholds of every pair: one number, one for each pair (output, input), or ``auto``: the
-        fewest that lower the error on parts that are left out
-    thresholds_v : thresholds [V] instead: one array for all pairs, or one for each pair (output, input)
-    partition : how thresholds are placed: uniform in ``time`` as in the paper, or in ``voltage``; ``fitted``:
-        found from the records, beginning with those uniform in time, and kept if they lower the error by
-        more than chance; ``operators`` is the most there are, and the outputs share those of an input;
-        ``auto``: as ``fitted``, beginning with those uniform in voltage
-    solver : how the weights are found: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
-    ridge : penalty of the weights, for more thresholds than the records can tell; 0: none, or with hysteresis
-        ``asymmetric`` the largest that hardly raises the error
+    operators : number of play operators: one number, one for each pair (output, input), or ``auto``: the
+        fewest that minimise the cross-validation error
+    thresholds_v : given thresholds [V]: one array for all pairs, or one for each pair (output, input)
+    partition : placement of thresholds: uniform in ``time`` as in the paper, or in ``voltage``; ``fitted``:
+        fitted to the records from a start uniform in time, and kept if they lower the error significantly;
+        ``operators`` is then the upper limit, and the outputs share the thresholds of an input;
+        ``auto``: as ``fitted``, from a start uniform in voltage
+    solver : solver for the weights: ``closed_form``, ``least_squares``, ``nonnegative`` or ``invertible``
+    ridge : penalty of the weights, for more thresholds than the records determine; 0: none, or with
+        hysteresis ``asymmetric`` the largest that hardly raises the error
     dynamics : ``none``, ``lag`` (a low-pass each axis), ``second_order`` (a resonance each axis),
-        ``state_space``, or ``auto``: what lowers the error of the first three, or a resonance with a low-pass
-    order : number of states of a state-space model; None: as many as the records tell
-    creep_modes : slow modes of each axis; ``auto``: one where it lowers the error
-    delay_samples : whole samples by which the outputs come late, beside the sensor's delay; None: found
+        ``state_space``, or ``auto``: the one of the first three, or a resonance with a low-pass, with the
+        lowest error
+    order : number of states of a state-space model; None: estimated
+    creep_modes : slow modes of each axis; ``auto``: one if it lowers the error
+    delay_samples : delay of the outputs in whole samples, without the sensor's delay; None: estimated
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
-    sensor_delay_s : time by which the sensor reports late beside that [s], from its data sheet: kept out of
-        the model, whose own delay is what the readings come late more
-    start : what went before each record: ``rest``, ``repeated`` (the like of it), or ``auto``: found out
-    hysteresis : kind of the static block: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
+    sensor_delay_s : additional delay of the sensor [s], from its data sheet; it is not part of the model,
+        which
+        contains only the remaining delay
+    start : initial state of each record: ``rest``, ``repeated`` (the end of the same record), or ``auto``:
+        estimated
+    hysteresis : kind of hysteresis: ``prandtl_ishlinskii``, or ``asymmetric`` with one-sided dead-zones
         beside the plays, ``rate_dependent`` with thresholds that grow with the rate, ``bouc_wen``, or any
         registered kind that is ``Identifiable``
-    dead_zones : of each input of an asymmetric block; None: as many as the records call for
-    accept_order : whether columns are taken as they are named, though an output leads its input
-    error_curve : whether the held-out error is found for many numbers of operators
+    dead_zones : dead-zones of each input of an asymmetric block; None: estimated
+    accept_order : whether to accept columns although an output leads its input
+    error_curve : whether to compute the cross-validation error for many numbers of operators
     """
 
     operators: int | Sequence[Sequence[int]] | Literal["auto"] = "auto"
@@ -121,26 +124,29 @@ class Settings:
         mistakes = []
         if self.dynamics == "state_space":
             told = {"sensor_bandwidth_hz": self.sensor_bandwidth_hz, "sensor_delay_s": self.sensor_delay_s}
-            why = "cannot be taken out of dynamics state_space; choose others, or its states hold it, too"
+            why = (
+                "cannot be separated from dynamics state_space; choose other dynamics, or let its "
+                "states include it"
+            )
             mistakes += [Mistake(name, why) for name, value in told.items() if value]
         if self.dynamics != "state_space" and self.order is not None:
             mistakes.append(Mistake("order", "belongs to dynamics state_space"))
         if self.creep_modes not in (0, "auto") and self.dynamics in ("none", "state_space"):
-            mistakes.append(Mistake("creep_modes", "belong to dynamics lag, second_order or auto"))
+            mistakes.append(Mistake("creep_modes", "belongs to dynamics lag, second_order or auto"))
         if self.solver == "closed_form" and self.dynamics not in ("none", "auto"):
             mistakes.append(
-                Mistake("solver", "closed_form sees no dynamics; use least_squares or invertible with them")
+                Mistake("solver", "closed_form ignores dynamics; use least_squares or invertible with them")
             )
         if isinstance(self.operators, str) and self.operators != "auto":
             mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
         if self.solver == "closed_form" and self.ridge > 0.0:
-            mistakes.append(Mistake("ridge", "belongs to the solvers of least squares, not closed_form"))
+            mistakes.append(Mistake("ridge", "belongs to the least-squares solvers, not to closed_form"))
         return [*mistakes, *self._misfits_of_fitted(), *self._misfits_of_kind()]
 
     def _misfits_of_kind(self) -> list[Mistake]:
         """What does not go together with a kind of hysteresis."""
         stray = self.dead_zones is not None and self.hysteresis != "asymmetric"
-        mistakes = [Mistake("dead_zones", "belong to hysteresis asymmetric")] if stray else []
+        mistakes = [Mistake("dead_zones", "belongs to hysteresis asymmetric")] if stray else []
         if self.hysteresis == "prandtl_ishlinskii":
             return mistakes
         asked = {
@@ -148,7 +154,7 @@ class Settings:
             "solver": self.solver in ("closed_form", "nonnegative"),
         }
         return mistakes + [
-            Mistake(name, f"{getattr(self, name)} cannot be had with hysteresis {self.hysteresis}")
+            Mistake(name, f"{getattr(self, name)} cannot be used with hysteresis {self.hysteresis}")
             for name, is_wrong in asked.items()
             if is_wrong
         ]
@@ -158,8 +164,8 @@ class Settings:
         if self.partition != "fitted":
             return []
         wrong = {
-            "dynamics": (self.dynamics == "state_space", "state_space cannot be had"),
-            "solver": (self.solver == "closed_form", "closed_form cannot be had"),
+            "dynamics": (self.dynamics == "state_space", "state_space cannot be used"),
+            "solver": (self.solver == "closed_form", "closed_form cannot be used"),
             "thresholds_v": (self.thresholds_v is not None, "cannot be given"),
         }
         mistakes = [
@@ -193,11 +199,11 @@ class Settings:
             "order": f"must be 1 to {MOST_STATES}",
             "creep_modes": f"must be 0 to {MOST_CREEP_MODES}",
             "delay_samples": DELAY_SAMPLES.words(),
-            "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; leave it out for a sensor without lag",
+            "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; omit it for a sensor without lag",
             "sensor_delay_s": DELAY_S.words(),
             "ridge": RIDGE.words(),
             "dead_zones": f"must be 0 to {MOST_DEAD_ZONES}",
-            "thresholds": f"{THRESHOLD_V.words()}, each larger than the one before",
+            "thresholds": f"{THRESHOLD_V.words()}, each larger than the previous one",
         }
         return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
 
@@ -311,7 +317,7 @@ def settings_of(
         try:
             options["thresholds_v"] = [float(word) for word in thresholds.split(",")]
         except ValueError:
-            what = f"{thresholds!r} are no voltages with commas between them, such as 0,0.5,1.2"
+            what = f"{thresholds!r} is no list of voltages with commas between them, such as 0,0.5,1.2"
             raise InputError("identification", [Mistake("thresholds", what)]) from None
     counts: dict[str, Any] = {}
     for name, word in (("operators", operators), ("creep_modes", creep_modes)):

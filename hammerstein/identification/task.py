@@ -51,7 +51,7 @@ class Task:
         return self.delay_samples * self.records[0].sample_time_s
 
     def linear_thresholds(self) -> list[list[Array]]:
-        """Give a single threshold of 0 to every pair: a linear gain."""
+        """Return a single threshold of 0 to every pair: a linear gain."""
         return [[np.zeros(min(len(r), 1)) for r in row] for row in self.thresholds_v]
 
     @property
@@ -60,7 +60,7 @@ class Task:
         return math.floor(self.delay_samples)
 
     def delayed_as(self, dynamics: Dynamics) -> Task:
-        """Give the task with the delay of a linear block."""
+        """Return the task with the delay of a linear block."""
         delay = delay_in_samples(dynamics.input_delay_s, self.records[0].sample_time_s)
         return replace(self, delay_samples=delay)
 

@@ -55,8 +55,8 @@ LOST = 1e-3
 LINES = 400
 """Frequencies up to Nyquist at which the gain is looked at."""
 UNTOLD = (
-    "Dynamics were asked for, but the records tell none: THIS MODEL IS STATIC. Add records nearer to the "
-    "resonance, such as faster sines, steps or a multisine."
+    "You asked for dynamics, but the records do not identify any: THIS MODEL IS STATIC. Add records "
+    "nearer to the resonance, such as faster sines, steps or a multisine."
 )
 
 
@@ -84,9 +84,7 @@ def verdict(
 the model: it lowers the error from 7.4 to 0.8 %.
     """
     errors = {kind: score.mean_percent for kind, score in scores.items()}
-    where = (
-        "On validation records" if held_back else "On the fitted records themselves (no validation record)"
-    )
+    where = "On validation records" if held_back else "On the fitted records (no validation record)"
     listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
     sentences = [f"{where}: {listed} of the range."]
     if {"linear_dynamics", "hammerstein"} <= errors.keys():
@@ -105,12 +103,13 @@ the model: it lowers the error from 7.4 to 0.8 %.
     largest = next(reversed([kind for kind in KIND_NAMES if kind in errors and kind != "classical"]))
     if kept is not None and kept != largest:
         sentences.append(
-            f"Kept is {KIND_NAMES[kept]}: {KIND_NAMES[largest]} is {NO_BETTER}, with more parameters."
+            f"The chosen model is {KIND_NAMES[kept]}: {KIND_NAMES[largest]} has more parameters and "
+            f"is {NO_BETTER}."
         )
     sentences[:0] = leftover
     if flags:
         model = "model" if "classical" in errors else "classical model"
-        sentences.append(f"The {model} does not represent these records: " + "; ".join(flags) + ".")
+        sentences.append(f"The {model} cannot represent these records: " + "; ".join(flags) + ".")
     return " ".join(sentences)
 
 
@@ -144,7 +143,7 @@ def record_flags(
             if (record.source, record.outputs[o]) in explained:
                 continue
             found.append(
-                f"{record.outputs[o]} of {record.source} is missed by {percent[o]:.1f} % of its range"
+                f"the error of {record.outputs[o]} in {record.source} is {percent[o]:.1f} % of its range"
             )
     return found
 
@@ -172,9 +171,9 @@ def shape_flags(
         slopes = np.abs(free.hysteresis.pairs[o][k].slopes)
         if missed > needed and slopes[-1] < FLATTENED * slopes.max():
             found.append(
-                f"{records[0].outputs[o]} saturates: its branches flatten towards the tips to "
-                f"{100 * slopes[-1] / slopes.max():.0f} % of their steepest slope, weights of one sign miss "
-                f"it by {missed:.1f} % of the range, and loops inside the measured ones will be wrong"
+                f"{records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
+                f"falls to {100 * slopes[-1] / slopes.max():.0f} % of the steepest slope, weights of "
+                f"one sign have an error of {missed:.1f} % of the range, and minor loops will be wrong"
             )
     return found
 
@@ -191,8 +190,9 @@ def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]
             rise = abs(float(y[u >= u.max() - margin].mean() - y[u <= u.min() + margin].mean()))
             if rise < BUTTERFLY * float(np.ptp(y)):
                 found.append(
-                    f"{record.outputs[o]} of {record.source} is no rising loop (a butterfly, or a strong "
-                    f"lag): its tips differ by {100 * rise / float(np.ptp(y)):.0f} % of the range only"
+                    f"{record.outputs[o]} of {record.source} has no rising loop (a butterfly loop or "
+                    f"a strong lag): its tips differ by only {100 * rise / float(np.ptp(y)):.0f} % of "
+                    "the range"
                 )
     return found
 
@@ -217,9 +217,10 @@ def turning_back_flags(
             returned = _returned(u, y) - _returned(u, candidate.predict(record, start)[o, start.first :])
             if returned > RETURNED * float(np.ptp(y)):
                 found.append(
-                    f"{record.outputs[o]} of {record.source} turns back on itself: it returns by "
-                    f"{100.0 * returned / float(np.ptp(y)):.0f} % of its range while {record.inputs[k]} goes "
-                    "on; lower the amplitude, or keep to one polarity"
+                    f"{record.outputs[o]} of {record.source} turns back: it returns by "
+                    f"{100.0 * returned / float(np.ptp(y)):.0f} % of its range while "
+                    f"{record.inputs[k]} keeps its direction; lower the amplitude, or use one "
+                    "polarity only"
                 )
     return found
 
@@ -247,24 +248,24 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
             )
         elif not axis_identified(fit):
             found.append(
-                f"resonance and damping of {name}: an axis explains the records {_how_much_better(fit)} "
-                f"({fit.rms_um:.4g} um with, {fit.static_rms_um:.4g} um without); excite it nearer to its "
+                f"resonance and damping of {name}: dynamics {_how_much_better(fit)} ({fit.rms_um:.4g} "
+                f"um with, {fit.static_rms_um:.4g} um without); excite the axis nearer to its "
                 "resonance"
             )
         elif fit.axis.resonance_hz is None:
-            found.append(f"resonance and damping of {name}: a low-pass explains the records as well")
+            found.append(f"resonance and damping of {name}: a low-pass fits the records equally well")
         elif not fit.excited:
             found.append(
-                f"resonance and damping of {name}: {fit.axis.resonance_hz:.4g} Hz lies outside the band that "
-                "was excited; the value only stands for the lag below it"
+                f"resonance and damping of {name}: {fit.axis.resonance_hz:.4g} Hz is outside the "
+                "excited band; the value only represents the lag below it"
             )
         elif fit.damping_error_percent is not None and fit.damping_error_percent > UNSURE_DAMPING_PERCENT:
-            found.append(f"damping of {name}: known to {fit.damping_error_percent:.0f} % only")
+            found.append(f"damping of {name}: standard error {fit.damping_error_percent:.0f} %")
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
                 found.append(
-                    f"creep of {name} over {mode.time_constant_s:.3g} s: {mode.gain:.2g} +- {error:.2g}; "
-                    "record for several times as long"
+                    f"creep of {name} with a time constant of {mode.time_constant_s:.3g} s: gain "
+                    f"{mode.gain:.2g} +- {error:.2g}; use a record several times longer"
                 )
         found += _unsure_creep(name, fit)
     return found
@@ -278,20 +279,20 @@ def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     mode, error = larger.axis.creep[-1], larger.creep_gain_errors[-1]
     size = f"{mode.gain:.2g} +- {error:.2g}"
     told = abs(mode.gain) >= SURE_CREEP * error
-    why = f"no record is so long ({size})" if told else f"its size is not told ({size})"
+    why = f"no record is long enough ({size})" if told else f"its gain is uncertain ({size})"
     yield (
-        f"creep of {name}: a slow mode over {mode.time_constant_s:.3g} s would leave {larger.rms_um:.3g} um "
-        f"in place of {fit.rms_um:.3g} um, but {why}; record a step that is held for minutes, or keep it "
-        f"with --creep-modes {len(larger.axis.creep)}"
+        f"creep of {name}: a slow mode with a time constant of {mode.time_constant_s:.3g} s would "
+        f"lower the error from {fit.rms_um:.3g} to {larger.rms_um:.3g} um, but {why}; record a step "
+        f"that is constant for minutes, or keep the mode with --creep-modes {len(larger.axis.creep)}"
     )
 
 
 def _how_much_better(fit: AxisFit) -> str:
     if fit.rms_um > (1.0 - FELT) * fit.static_rms_um:
-        return "no better than none"
+        return "do not lower the error"
     if _lowers_the_error(fit):
-        return "better than none, but not which one it is"
-    return "hardly better than none"
+        return "lower the error, but the records do not determine them"
+    return "hardly lower the error"
 
 
 def _lowers_the_error(fit: AxisFit) -> bool:
@@ -346,15 +347,15 @@ def bound_notes(
         remedy = (
             f"{wider}: phase lag looks like hysteresis; fit the dynamics too, or record more slowly"
             if wider
-            else "use fewer thresholds, or a ridge"
+            else "use fewer thresholds, or a ridge penalty"
         )
         slopes, pair = [j for oo, kk, j in fit.bounded if (oo, kk) == (o, k)], free.hysteresis.pairs[o][k]
         lowest = min(slopes, key=lambda j: float(pair.slopes[j]))
         count = "1 slope" if len(slopes) == 1 else f"{len(slopes)} slopes"
         found.append(
-            f"{count} from {driven} to {name} held at a bound, or there were no inverse: free, the slope "
-            f"with thresholds up to {pair.thresholds_v[lowest]:.3g} V would be "
-            f"{pair.slopes[lowest]:.3g} um/V; {remedy}"
+            f"{count} from {driven} to {name} held at the lower bound so that the model stays "
+            "invertible; unconstrained, the slope with thresholds up to "
+            f"{pair.thresholds_v[lowest]:.3g} V would be {pair.slopes[lowest]:.3g} um/V; {remedy}"
         )
     return found
 
@@ -402,7 +403,7 @@ def invertibility_of(
         static = replace(invertibility(hysteresis, range_v), inputs=tuple(inputs))
         static_ok, sentence = static.invertible, static.statement()
     except (InputError, SimulationError) as error:
-        static_ok, sentence = False, f"The static block has no inverse: {error}"
+        static_ok, sentence = False, f"The hysteresis has no inverse: {error}"
     if not isinstance(dynamics, StateSpaceDynamics):
         return static_ok, sentence
     frequency_hz = np.linspace(0.0, 0.5 / sample_time_s, LINES + 1)[:-1]
@@ -412,6 +413,7 @@ def invertibility_of(
     if singular[weakest, -1] >= LOST * singular[0, 0]:
         return static_ok, sentence
     return False, (
-        f"{sentence} The linear block has no usable inverse at {frequency_hz[weakest]:.4g} Hz: one direction "
-        f"of the outputs responds with {singular[weakest, -1] / singular[0, 0]:.1e} of the static gain only."
+        f"{sentence} The linear block has no usable inverse at {frequency_hz[weakest]:.4g} Hz: in one "
+        f"direction of the outputs, the gain is only {singular[weakest, -1] / singular[0, 0]:.1e} of "
+        "the static gain."
     )

@@ -50,8 +50,9 @@ def settled_cycle(
     whole = int(np.floor(values.shape[1] * cycles_a_sample + 1e-9))
     if whole <= skip_cycles or not 0.0 < cycles_a_sample <= 0.5:
         raise IdentificationError(
-            f"a record of {values.shape[1]} samples of {sample_time_s:g} s holds {whole} whole cycles at "
-            f"{frequency_hz:g} Hz; at least {skip_cycles + 1} of two samples or more are needed"
+            f"a record of {values.shape[1]} samples of {sample_time_s:g} s holds {whole} whole cycles "
+            f"at {frequency_hz:g} Hz; at least {skip_cycles + 1} cycles of two samples or more are "
+            "needed"
         )
     first, stop = (int(np.ceil(c / cycles_a_sample - 1e-9)) for c in (skip_cycles, whole))
     position = phases * ((np.arange(first, stop) * cycles_a_sample) % 1.0)

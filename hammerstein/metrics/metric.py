@@ -12,7 +12,7 @@ from hammerstein.metrics.arrays import LoopFigures, drift, worst
 from hammerstein.metrics.measured_window import Measured
 
 Values = Sequence[float | None] | float | None
-"""One value an output, or one for all of them; None where the figure has no meaning."""
+"""One value for each output, or one for all of them; None where the figure has no meaning."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Metric:
     heading: str = ""
 
     def values(self, measured: Measured) -> list[float | None]:
-        """One value an output; None where the figure has no meaning."""
+        """One value for each output; None where the figure has no meaning."""
         found, outputs = self.of(measured), len(measured.reading_um)
         if found is None or isinstance(found, int | float):
             return [found] * outputs
@@ -92,8 +92,8 @@ def metric(
 
 
 @metric(
-    "root mean square of the error of the sensor's reading [um]; the error is reading less reference, or "
-    "reading less prediction of a model",
+    "root mean square of the error of the sensor's reading [um]; the error is reading minus "
+    "reference, or reading minus a model's prediction",
     drawn=True,
 )
 def rms_um(m: Measured) -> Values:
@@ -105,7 +105,7 @@ def max_um(m: Measured) -> Values:
     return None if m.errors is None else m.errors.worst
 
 
-@metric("root mean square of the error of the true position [um], which no sensor disturbs", drawn=True)
+@metric("root mean square of the error of the true position [um], without the sensor", drawn=True)
 def rms_true_um(m: Measured) -> Values:
     return None if m.true_errors is None else m.true_errors.rms
 
@@ -125,19 +125,19 @@ def euclidean_max_um(m: Measured) -> Values:
     return None if m.errors is None else m.errors.distance_worst
 
 
-@metric("root mean square of that distance for the true position [um]")
+@metric("root mean square of the distance between true position and reference over all axes [um]")
 def euclidean_rms_true_um(m: Measured) -> Values:
     return None if m.true_errors is None else m.true_errors.distance_rms
 
 
-@metric("largest such distance for the true position [um]", drawn=True)
+@metric("largest distance between true position and reference over all axes [um]", drawn=True)
 def euclidean_max_true_um(m: Measured) -> Values:
     return None if m.true_errors is None else m.true_errors.distance_worst
 
 
 @metric(
-    "largest distance between true position and reference over the samples at which no voltage is cut, nor "
-    "was in the 10 ms before [um]"
+    "largest distance between true position and reference, without the samples whose voltage is cut "
+    "and the 10 ms after each [um]"
 )
 def euclidean_max_unsaturated_um(m: Measured) -> Values:
     if m.true_errors is None or not m.saturated.any():
@@ -148,19 +148,19 @@ def euclidean_max_unsaturated_um(m: Measured) -> Values:
 
 
 @metric(
-    "largest error of the radius of a path, distance from its middle less that of the reference, from the "
-    "reading [um]"
+    "largest error of the radius of a path, from the reading [um]; the radius is the distance from "
+    "the middle of the path"
 )
 def radial_max_um(m: Measured) -> Values:
     return None if m.in_the_plane is None else m.in_the_plane.radial
 
 
-@metric("the same for the true position [um]")
+@metric("largest error of the radius of a path, for the true position [um]")
 def radial_max_true_um(m: Measured) -> Values:
     return None if m.in_the_plane is None else m.in_the_plane.radial_true
 
 
-@metric("mean error of the true position over the last cycle less that over the first [um]")
+@metric("mean error of the true position over the last cycle minus that over the first [um]")
 def drift_true_um(m: Measured) -> Values:
     if m.target_position_um is None or m.cycle_samples is None:
         return None
@@ -170,24 +170,26 @@ def drift_true_um(m: Measured) -> Values:
 
 
 @metric(
-    "loop from its lowest to its highest point, twice the amplitude; of a cross-coupling, its whole range "
-    "[um]"
+    "height of the loop from its lowest to its highest point, twice the amplitude; for a "
+    "cross-coupling, its whole range [um]"
 )
 def height_um(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.height_um)
 
 
-@metric("opening of the loop in the middle of its input's range [um]")
+@metric("width of the loop at the middle of its input's range [um]")
 def width_um(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.width_um)
 
 
-@metric("width over height [%]", ratio_of="height_um")
+@metric("width divided by height [%]", ratio_of="height_um")
 def width_percent(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.width_percent)
 
 
-@metric("first harmonic of the reading over that of what is driven [um/V, or um/um for a reference]")
+@metric(
+    "first harmonic of the reading divided by that of the driven quantity [um/V, or um/um for a reference]"
+)
 def gain(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.gain)
 
@@ -197,7 +199,7 @@ def phase_deg(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.phase_deg)
 
 
-@metric("samples in which the drive's range cut the voltage", exact=True)
+@metric("number of samples in which the drive's range cut the voltage", exact=True)
 def saturated_samples(m: Measured) -> Values:
     return int(np.count_nonzero(m.saturated))
 

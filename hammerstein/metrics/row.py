@@ -23,7 +23,7 @@ class Keyed:
     trial: int | None = None
 
     def key(self) -> dict[str, Any]:
-        """Give that by name."""
+        """Return that by name."""
         return {name: getattr(self, name) for name in KEY}
 
     @property

@@ -77,7 +77,7 @@ class ParameterCovariance(ByValue):
         if len(self.factor) != size or [m.shape for m in self.following] != [(n, size) for n in counts]:
             return f"must have {size} rows, and for each of {len(counts)} outputs {size} numbers a weight"
         if not all(0 <= i < size for i in (*self.fitted, *self.open)):
-            return f"names a number beyond the {size} that stand beside the weights"
+            return f"names a number beyond the {size} numbers other than weights"
         return None
 
 
@@ -91,7 +91,7 @@ def beside_weights(hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Array:
 def with_beside_weights(
     hysteresis: Hysteresis[Any], dynamics: Dynamics, x: Array
 ) -> tuple[Hysteresis[Any], Dynamics]:
-    """Give both blocks with other numbers beside the weights."""
+    """Return both blocks with other numbers beside the weights."""
     if isinstance(hysteresis, Identifiable):
         ends = np.cumsum([len(part) for part in (*hysteresis.places, hysteresis.free)])
         *places, free, x = np.split(x, ends)
@@ -103,7 +103,7 @@ def with_beside_weights(
 def drawn_blocks(
     hysteresis: Hysteresis[Any], dynamics: Dynamics, known: ParameterCovariance | None, generator: Normals
 ) -> tuple[Hysteresis[Any], Dynamics]:
-    """Give other blocks, as far from these as the errors of their parameters tell.
+    """Return other blocks, as far from these as the errors of their parameters tell.
 
     known : of what stands beside the weights; that stays as it is if not given
 
@@ -125,17 +125,17 @@ class ParameterCovarianceFile(PartFile):
         description="rows of L, each up to its diagonal"
     )
     following: tuple[tuple[tuple[Entry, ...], ...], ...] = Field(
-        description="of each output, a row a weight: what it changes by with each number"
+        description="for each output, one row for each weight: its change with each number"
     )
     fitted: tuple[NoCycles, ...] = Field(
-        default=(), description="numbers that were fitted, counted from 0; the others were given"
+        default=(), description="fitted numbers, counted from 0; the others were given"
     )
     open: tuple[NoCycles, ...] = Field(
-        default=(), description="fitted numbers that the records do not tell, counted from 0"
+        default=(), description="fitted numbers that the records do not determine, counted from 0"
     )
 
     def value(self) -> ParameterCovariance:
-        """Give the covariance this describes."""
+        """Return the covariance this describes."""
         n = len(self.factor)
         following = []
         for matrix in self.following:

@@ -49,24 +49,24 @@ MATRICES = StateSpaceDynamics, FeedbackHysteresisDynamics
 
 @dataclass(frozen=True, eq=False)
 class HammersteinModel(ByValue, NotebookRepr):
-    """An actuator or a model of one: hysteresis of some kind followed by linear dynamics.
+    """Actuator or model of an actuator: hysteresis, then linear dynamics.
 
         v = Gamma(u - u_0),    y = G v            (Hammerstein structure: paper, section 6)
 
-    u is the voltage as it is sent; u_0 is the working point, at which the plays rest and the position is 0.
+    u is the absolute voltage. At the working point u_0 the plays are at rest and the position is 0.
 
     Parameters
     ----------
-    name : what it is called in reports
+    name : name in reports
     hysteresis : m inputs, p outputs
-    dynamics : p inputs, p outputs, unit gain at the frequencies where the static block was found
-    amplitude_v : largest voltage amplitude for which the static block was found [V]
-    inputs, outputs : names of the axes; one that stands twice is numbered
-    instruments : drive and sensor that belong to the actuator
-    provenance : where it comes from, as plain JSON
+    dynamics : p inputs, p outputs, unit gain at the frequencies at which the hysteresis was identified
+    amplitude_v : largest voltage amplitude at which the hysteresis was identified [V]
+    inputs, outputs : names of the axes; repeated names are numbered
+    instruments : drive and sensor of the actuator
+    provenance : origin of the model, as plain JSON
     voltages : working point and range of the records; symmetric about 0 V, with that amplitude, if not given
-    verdict : what its identification says of it, if it was identified from records
-    covariance : how sure the numbers beside the weights are, and how the weights follow them
+    verdict : verdict of its identification, if it was identified from records
+    covariance : of the parameters other than weights, and sensitivity of the weights to them
     """
 
     name: str
@@ -94,7 +94,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         mistakes = []
         rest = self.recorded.working_point_v
         if len(rest) != m:
-            mistakes.append(Mistake("voltages", f"are those of {len(rest)} inputs, not of {m}"))
+            mistakes.append(Mistake("voltages", f"are for {len(rest)} inputs, not for {m}"))
         else:
             object.__setattr__(self, "hysteresis", self.hysteresis.counted_from(rest))
         if len(self.inputs) != m:
@@ -108,7 +108,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         for key, names in (("name", (self.name,)), ("inputs", self.inputs), ("outputs", self.outputs)):
             mistakes += [Mistake(key, why) for name in names if (why := no_name(name))]
             if len(set(names)) < len(names):
-                mistakes.append(Mistake(key, "name two axes alike; every name must differ"))
+                mistakes.append(Mistake(key, "name two axes alike; every name must be different"))
         free = self.dynamics if isinstance(self.dynamics, MATRICES) else None
         if self.covariance and (misfit := self.covariance.misfit(self.hysteresis, self.dynamics)):
             mistakes.append(Mistake("covariance", misfit))
@@ -139,12 +139,12 @@ class HammersteinModel(ByValue, NotebookRepr):
         return dynamics.n_outputs
 
     def static(self) -> HammersteinModel:
-        """Give the same static block without its dynamics."""
+        """Return the same static block without its dynamics."""
         dynamics = StaticDynamics(n_outputs=self.hysteresis.n_outputs)
         return replace(self, dynamics=dynamics, covariance=None)
 
     def drawn(self, generator: Normals) -> HammersteinModel:
-        """Give another actuator, as far from this one as the errors of all its parameters tell.
+        """Draw a random actuator from the covariance of all parameters.
 
         Raises InputError where they are not known.
         """
@@ -159,11 +159,11 @@ class HammersteinModel(ByValue, NotebookRepr):
         instruments: Instruments | None = None,
         seed: int | Sequence[int] = 0,
     ) -> Response:
-        """Play voltages on the model from rest, and keep every wire.
+        """Simulate the response to voltages from rest, with all signals.
 
         Parameters
         ----------
-        u_v : (input, sample) voltages as they are sent [V]
+        u_v : (input, sample) absolute voltages [V]
         sample_time_s : time between samples [s], for which a voltage is held
         instruments : drive and sensor whose effects are wanted, such as the model's own; none if not given
         seed : of the sensor's noise
@@ -197,12 +197,12 @@ class HammersteinModel(ByValue, NotebookRepr):
         accept_flagged: bool = False,
         **options: Any,
     ) -> Compensation:
-        """Voltages that put the actuator on a path, and what the model predicts of them.
+        """Voltages that follow a path, and the predicted motion.
 
         Parameters
         ----------
-        reference_um : (output, sample) positions, counted from where the actuator stands [um], on the sample
-            time of the model's drive
+        reference_um : (output, sample) positions relative to the initial position [um], on the sample time of
+            the model's drive
         law, options : a law and its options, by their names in a scenario; or a compensator
         range_v, start_v, conditioned, clip, beyond_records, accept_flagged : see ``Terms``
 
@@ -227,7 +227,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         return compensation_of(self, reference_um, law, options, terms)
 
     def _plant(self, sample_time_s: float, instruments: Instruments | None) -> Plant:
-        """Give the model in a set-up on a sample grid."""
+        """Return the model in a set-up on a sample grid."""
         from hammerstein.model.simulation import Plant
 
         require_grid(None, sample_time_s, "model")
@@ -244,7 +244,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         outputs: Sequence[Wire] = ("position_um",),
         name: str = "actuator",
     ) -> BlockSystem:
-        """Give the whole actuator as a discrete ``control.NonlinearIOSystem``.
+        """Return the whole actuator as a discrete ``control.NonlinearIOSystem``.
 
         Its inputs are ``requested_v[0]`` and so on, its outputs ``position_um[0]`` and so on: the names by
         which ``control.interconnect`` joins it to a compensator. It gives the numbers of
@@ -280,19 +280,19 @@ class HammersteinModel(ByValue, NotebookRepr):
         return self.amplitude(amplitude_v) / amplitude_v
 
     def extremes(self, low_v: Array, high_v: Array) -> tuple[Array, Array]:
-        """Least and largest position (p,) [um] from rest at slow voltages between some (m,) [V]."""
+        """Lowest and highest position (p,) [um] from rest at slow voltages between two limits (m,) [V]."""
         if not isinstance(self.dynamics, WithLoop):
             return self.hysteresis.extremes(low_v, high_v)
         ends = np.stack([np.sign(end) * self.amplitude(np.abs(end)) for end in (low_v, high_v)])
         return ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)
 
     def on_grid(self, sample_time_s: float) -> HammersteinModel:
-        """Give the model whose hysteresis stands on a sample grid, as one that knows the rate must."""
+        """Return the model with its hysteresis on a sample grid, as rate-dependent hysteresis needs."""
         here = self.hysteresis.on_grid(sample_time_s)
         return self if here is self.hysteresis else replace(self, hysteresis=here)
 
     def static_response(self, drive_v: Array, start: Any = None) -> tuple[Array, Any]:
-        """Outputs (output, sample) of the hysteresis [um] for voltages as they are sent, and its state.
+        """Outputs (output, sample) of the hysteresis [um] for absolute voltages, and its state.
 
         drive_v : (input, sample) [V]; start : state before; at rest at the working point if not given
         """
@@ -327,11 +327,11 @@ class HammersteinModel(ByValue, NotebookRepr):
             raise InputError(source, error.mistakes) from None
 
     def save(self, path: str | Path) -> None:
-        """Write the model file; nothing is left half-written."""
+        """Write the model file, completely or not at all."""
         write_atomic(Path(path), self.to_json())
 
     def digest(self) -> str:
-        """Short hash of everything in the model that changes its numbers, whatever its file looks like."""
+        """Short hash of everything in the model that affects numbers, independent of file layout."""
         return self._digest
 
     @cached_property
@@ -378,13 +378,13 @@ class ModelFile(Strict):
         return content | {"format": FORMAT}
 
     def model(self) -> HammersteinModel:
-        """Give the model this describes."""
+        """Return the model this describes."""
         fields: dict[str, Any] = {n: getattr(self, n) for n in type(self).model_fields if n != "format"}
         known = None if self.covariance is None else self.covariance.value()
         return HammersteinModel(**fields | {"hysteresis": self._built(), "covariance": known})
 
     def _built(self) -> Hysteresis[Any]:
-        """Give the hysteresis; the mistakes in it stand below its key."""
+        """Return the hysteresis; the mistakes in it stand below its key."""
         try:
             return self.hysteresis.hysteresis()
         except InputError as error:
@@ -426,7 +426,7 @@ def model_text(name: str) -> str:
     if place.is_file() and place.suffix.lower() in TABLES:
         raise InputError(
             str(place),
-            "is a table, and a model file (.json) was expected; identify one from records first: "
+            "is a table, but a model file (.json) was expected; first identify a model from records: "
             "hammerstein identify RECORD --out model.json",
         )
     return read_limited(place, "model file", LARGEST_MODEL_BYTES)

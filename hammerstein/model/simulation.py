@@ -66,28 +66,28 @@ def refuse_unbounded(name: str, wire: Array, sample_time_s: float) -> None:
     quantity, _, unit = name.rpartition("_")
     raise SimulationError(
         f"{quantity.replace('_', ' ')} of axis {axis + 1} reaches {wire[axis, sample]:.3g} "
-        f"{'V' if unit == 'v' else unit} after {sample * sample_time_s:.4g} s: something on its way is not "
-        "stable. Look at the actuator's dynamics, and at the gains of the law"
+        f"{('V' if unit == 'v' else unit)} after {sample * sample_time_s:.4g} s: a block in the chain "
+        "is unstable. Check the actuator's dynamics and the gains of the law"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Response(NotebookRepr):
-    """One run, every wire kept; rows are axes, columns samples.
+    """All signals of one run; rows are axes, columns samples.
 
-    reference_um : what was asked for (output, sample) [um]; None for a run in volts
-    requested_v : voltage that the compensator asks for (input, sample) [V]
-    drive_v : voltage that leaves the converter [V]
+    reference_um : desired position (output, sample) [um]; None for a run in volts
+    requested_v : voltage from the compensator (input, sample) [V]
+    drive_v : voltage after the converter [V]
     hysteresis_um : output of the hysteresis (output, sample) [um]
     position_um : true position [um]
-    reading_um : what the sensor says [um]
-    saturated : where the drive's range cut the voltage (input, sample)
+    reading_um : output of the sensor [um]
+    saturated : samples at which the drive's range cut the voltage (input, sample)
     inputs, outputs : names of the axes; numbers from 1 if not given
-    known : whether all wires were found within their bounds before
+    known : whether all signals were already checked
 
     Raises
     ------
-    SimulationError : a wire that is not finite or leaves all bounds
+    SimulationError : a signal that is not finite or exceeds all bounds
 
     Examples
     --------
@@ -132,13 +132,13 @@ class Response(NotebookRepr):
                 refuse_unbounded(name, wire, self.sample_time_s)
 
     def after(self, first: int) -> Response:
-        """Give the same run from one sample on."""
+        """Return the same run from one sample on."""
         wires: dict[str, Any] = {name: getattr(self, name) for name in (*WIRES, "saturated")}
         cut = {name: wire[:, first:] for name, wire in wires.items() if wire is not None}
         return replace(self, known=True, **cut)
 
     def columns(self) -> dict[str, Array]:
-        """Every wire of every axis (sample,), by names such as ``drive_x_v``; without time."""
+        """All signals of every axis (sample,), by names such as ``drive_x_v``; without time."""
         columns: dict[str, Array] = {}
         for name in WIRES:
             wire: Array | None = getattr(self, name)
@@ -159,7 +159,7 @@ class Response(NotebookRepr):
     def to_time_response(
         self, outputs: Sequence[Wire] = ("position_um",), inputs: Sequence[Wire] | None = None
     ) -> control.TimeResponseData:
-        """Give the run as ``control.TimeResponseData``, for its ``plot`` and all that takes one.
+        """Return the run as ``control.TimeResponseData``, for its ``plot`` and all that takes one.
 
         Parameters
         ----------
@@ -181,7 +181,7 @@ class Response(NotebookRepr):
             wire = getattr(self, name, None) if name in WIRES else None
             if wire is None:
                 known = ", ".join(w for w in WIRES if getattr(self, w) is not None)
-                raise InputError("wire", f"{name!r} is not one of this run; it has {known}")
+                raise InputError("wire", f"{name!r} is no signal of this run; it has {known}")
             found |= dict(zip(signals(name, len(wire)), wire, strict=True))
         return found
 
@@ -232,7 +232,7 @@ class PlantState(NamedTuple):
     left: NDArray[np.bool_] | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Give plain lists and numbers; the generator's state is one of them.
+        """Return plain lists and numbers; the generator's state is one of them.
 
         What a law has moved is left out: it is the law's memory that tells.
         """
@@ -242,7 +242,7 @@ class PlantState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """The actuator in its set-up: drive, hysteresis, dynamics and sensor on one sample grid."""
+    """Actuator with its instruments: drive, hysteresis, dynamics and sensor on one sample grid."""
 
     model: HammersteinModel
     instruments: Instruments
@@ -266,7 +266,7 @@ class Plant:
         return DriveRange.of(self.instruments.drive.limits(self.model.hysteresis.n_inputs).T, self.model)
 
     def rest(self, seed: list[int]) -> PlantState:
-        """Actuator that was never driven, and a sensor at the beginning of its noise."""
+        """State of an actuator that was never driven, and of a sensor at the start of its noise."""
         memory, linear = self._at_rest
         return PlantState(memory, linear, np.random.default_rng(seed))
 
@@ -276,14 +276,14 @@ class Plant:
         return self.model.hysteresis.rest(), self.block.rest()
 
     def restore(self, data: dict[str, Any]) -> PlantState:
-        """State from what its ``as_dict`` gave."""
+        """State from the result of its ``as_dict``."""
         noise = np.random.PCG64(0)
         noise.state = data["noise"]
         memory = self.model.hysteresis.restore(data["memory"])
         return PlantState(memory, np.array(data["linear"], dtype=np.float64), np.random.Generator(noise))
 
     def respond(self, requested_v: Array, seed: list[int], reference_um: Array | None = None) -> Response:
-        """Response to a voltage (input, sample) from rest, every wire kept."""
+        """Response to a voltage (input, sample) from rest, with all signals."""
         return self.carry_on(requested_v, self.rest(seed), reference_um)[0]
 
     def carry_on(
@@ -310,7 +310,7 @@ class Plant:
         left: NDArray[np.bool_] | None = None,
         out: Array | None = None,
     ) -> AppliedDrive:
-        """What the drive makes of a voltage (input, sample).
+        """Output of the drive for a voltage (input, sample).
 
         by_law : whether a law asks for it, that stays within the range itself
         left : (m,) which inputs have left the working point before; it may itself be an end of the range
@@ -365,9 +365,9 @@ class Plant:
         return response, PlantState(memory, linear, start.noise, driven.left)
 
     def closed_loop(self, law: Controller[Any], reference_um: Array, seed: list[int]) -> Response:
-        """Response to a controller that reads the sensor, sample by sample from rest, every wire kept.
+        """Response to a controller that reads the sensor, sample by sample from rest, with all signals.
 
-        This is the block diagram as it stands; that of ``FeedbackController`` is the same, compiled.
+        This is the plain block diagram; ``FeedbackController`` runs the same, compiled.
         """
         path_um, forward_v = law.path_and_feedforward(reference_um)
         state, here = law.rest(), self.rest(seed)
@@ -385,7 +385,7 @@ class Plant:
         outputs: Sequence[Wire] = ("position_um",),
         name: str = "actuator",
     ) -> BlockSystem:
-        """Give drive, hysteresis, dynamics and sensor as one discrete ``control.NonlinearIOSystem``.
+        """Return drive, hysteresis, dynamics and sensor as one discrete ``control.NonlinearIOSystem``.
 
         Inputs are ``requested_v[k]``, outputs those of the wires that are named, such as ``position_um[o]``.
 
@@ -405,7 +405,9 @@ class Plant:
         unknown = [wire for wire in outputs if wire not in counts or wire in inside]
         if unknown or not outputs:
             leaving = ", ".join(wire for wire in WIRES if wire not in inside)
-            raise InputError("outputs", f"{', '.join(unknown) or 'nothing'} is no output; give of {leaving}")
+            raise InputError(
+                "outputs", f"{', '.join(unknown) or 'nothing'} is no output; give some of {leaving}"
+            )
 
         def step(requested_v: Array, state: PlantState) -> tuple[Array, PlantState]:
             response, after = self.carry_on(requested_v[:, None], state)

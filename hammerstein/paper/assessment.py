@@ -77,7 +77,7 @@ class Paper(Assessment):
         return tuple(other.actuator for other in self.also_on)
 
     def with_actuators(self, resolved: Callable[[str], str]) -> Self:
-        """Give the same with the places of model files as ``resolved`` says."""
+        """Return the same with the places of model files as ``resolved`` says."""
         others = (o.model_copy(update={"actuator": resolved(o.actuator)}) for o in self.also_on)
         return self.model_copy(update={"also_on": tuple(others)})
 

@@ -22,9 +22,9 @@ def epsilon(reference: Array, position: Array) -> Array:
 
 @metric(
     "largest absolute value of the paper's error measure, as printed: sgn(theta) sqrt(|theta|) with "
-    "theta = (x_r + y_r)^2 - (x + y)^2 [um]. It turns a small error into a large value where x_r + y_r is "
-    "large: at 50 um, an error of 0.1 um gives several um. It cannot be what the paper plots; judge a path "
-    "by the error of each axis, the distance and the radius",
+    "theta = (x_r + y_r)^2 - (x + y)^2 [um]. It magnifies small errors where x_r + y_r is large: at "
+    "50 um, an error of 0.1 um gives several um. It cannot be the quantity that the paper plots; "
+    "judge a path by the error of each axis, the distance and the radius",
     asked_by="paper",
     heading="epsilon (see below)",
 )

@@ -59,7 +59,7 @@ class Simulated:
         return "undecided" if self.agrees is None else "met" if self.agrees else "not met"
 
     def as_dict(self) -> dict[str, object]:
-        """Give plain JSON; a value that does not exist is left out."""
+        """Return plain JSON; a value that does not exist is left out."""
         return {k: v for k, v in asdict(self).items() if not isinstance(v, float) or math.isfinite(v)}
 
 
@@ -164,7 +164,7 @@ class ClaimJudgement(Judgement):
                 yield {"claim": self.id, "actuator": one.actuator}, {CLAIMED: one.value}
 
     def as_dict(self) -> dict[str, object]:
-        """Give plain JSON; a figure that does not exist is left out."""
+        """Return plain JSON; a figure that does not exist is left out."""
         content = {k: v for k, v in asdict(self).items() if v is not None and k != "simulated"}
         content["answers"] = [one.as_dict() for one in self.simulated]  # their name in report.json
         content["changes"] = [asdict(change) for change in self.changes if math.isfinite(change.value)]
@@ -224,8 +224,8 @@ def _open(own: Simulated) -> str:
     if own.agrees is not None:
         return ""
     if math.isnan(own.low):
-        return "The sweep ends before the figure is reached."
-    return "The verdict changes with the sample time or the seed."
+        return "The sweep ends before the value is reached."
+    return "The verdict depends on the sample time or the seed."
 
 
 def _sentences(said: Sequence[str]) -> str:

@@ -120,7 +120,7 @@ def _parsed(column: str) -> tuple[str, list[int]]:
 
 def _loaded(variables: Variables, name: str) -> Array:
     if not variables:
-        raise InputError("file", "it holds no array of numbers; save the signals as plain numeric arrays")
+        raise InputError("file", "it has no array of numbers; save the signals as plain numeric arrays")
     name = _resolved(variables, name)
     if name not in variables:
         near = difflib.get_close_matches(name, variables, n=1)
@@ -144,7 +144,7 @@ def _reason(error: Exception) -> str:
     """What a library says of a damaged file, as far as a person can read it."""
     text = str(error).partition("\n")[0]
     if re.search(r"pickle|Python objects|Object arrays", text):
-        return "it holds other things than numbers"
+        return "it contains other things than numbers"
     return "its header is damaged" if " object at 0x" in text or not text else text[:200]
 
 
@@ -188,7 +188,7 @@ def _variables(path: Path) -> Variables:
         raise InputError(str(path), what) from None
     except Exception as error:  # as above
         why = _reason(error)
-        what = f"is no {suffix} file that can be read ({why}); was it cut short, or is it of another kind?"
+        what = f"cannot be read as a {suffix} file ({why}); was it cut short, or is it of another kind?"
         raise InputError(str(path), what) from None
 
 
@@ -247,7 +247,7 @@ def _matlab_v4(path: Path) -> dict[str, Any]:
         listed = scipy.io.whosmat(path)
         numbers = sum(math.prod(shape) for _, shape, _ in listed)
         if numbers > path.stat().st_size or any(min(shape) < 0 for _, shape, _ in listed):
-            raise ValueError("it declares more numbers than it holds")
+            raise ValueError("it declares more numbers than it contains")
         content: dict[str, Any] = scipy.io.loadmat(path)
     return content
 
@@ -315,12 +315,12 @@ def _refused(item: Any, seen: set[int]) -> bool:
     import h5py
 
     if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
-        raise ValueError(f"{item.name} lies in another file; save it in this one")
+        raise ValueError(f"{item.name} is in another file; save it in this one")
     address = h5py.h5o.get_info(item.id).addr
     known = address in seen
     seen.add(address)
     if len(seen) > MOST_OBJECTS:
-        raise ValueError(f"it holds more than {MOST_OBJECTS} objects")
+        raise ValueError(f"it has more than {MOST_OBJECTS} objects")
     return known and (isinstance(item, h5py.Group) or item.dtype == h5py.ref_dtype)
 
 
@@ -330,7 +330,7 @@ def _inside(group: Any) -> Iterator[tuple[str, Any]]:
 
     for name in group:
         if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
-            raise ValueError(f"{name} lies in another file; save it in this one")
+            raise ValueError(f"{name} is in another file; save it in this one")
         yield name, group[name]
 
 

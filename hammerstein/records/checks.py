@@ -29,8 +29,9 @@ def refuse_large(shape: Sequence[int], bytes_each: int = 8) -> None:
     if numbers > MOST_NUMBERS:
         raise InputError(
             "file",
-            f"holds {numbers / 1e6:,.0f} million numbers ({8e-9 * numbers:.3g} GB); at most "
-            f"{MOST_NUMBERS // 10**6} million are read: cut it into several records, or take fewer samples",
+            f"holds {numbers / 1e6:,.0f} million numbers ({8e-9 * numbers:.3g} GB), but at "
+            f"most {MOST_NUMBERS // 10**6} million are allowed: cut it into several records, or use "
+            "fewer samples",
         )
 
 
@@ -58,8 +59,10 @@ def gap_mistakes(names: Sequence[str], values: Array, rows: Indices) -> Iterator
         gaps = runs(~np.isfinite(column))
         for start, stop in gaps[:SHOWN]:
             count = stop - start + 1
-            what = "holds no finite number" if count == 1 else f"gap of {count} samples without a number"
-            yield Mistake(where(name, rows, start, stop), f"{what}; mend the record or cut it before the gap")
+            what = "has no finite number" if count == 1 else f"gap of {count} samples without a number"
+            yield Mistake(
+                where(name, rows, start, stop), f"{what}; repair the record or cut it before the gap"
+            )
         yield from not_listed(where(name), len(gaps), "gaps further down")
 
 
@@ -70,7 +73,9 @@ def far_mistakes(
     for name, column in zip(names, values, strict=True):
         far = runs(np.isfinite(column) & ((column < limit.low) | (column > limit.high)))
         for start, stop in far[:SHOWN]:
-            what = f"holds {column[start]:.3g} {unit}, which {limit.words()}; mend the cell, or give a scale"
+            what = (
+                f"holds {column[start]:.3g} {unit}, which {limit.words()}; correct the cell, or give a scale"
+            )
             yield Mistake(where(name, rows, start, stop), what)
         yield from not_listed(where(name), len(far), "such places further down")
 
@@ -80,7 +85,7 @@ def length_mistakes(samples: int) -> Iterator[Mistake]:
     if samples < FEWEST_SAMPLES:
         yield Mistake(
             "length",
-            f"{samples} samples are too short; give {FEWEST_SAMPLES} or more, at least one full cycle",
+            f"{samples} samples are too few; give {FEWEST_SAMPLES} or more, at least one full cycle",
         )
 
 
@@ -95,9 +100,9 @@ def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str
 def still_mistake(place: str, column: Array, kind: str) -> Mistake:
     """One column that never moves."""
     remedy = (
-        "add a record that drives it, or leave it out of --inputs"
+        "add a record that drives it, or remove it from --inputs"
         if kind == "input"
-        else "check the sensor and its cable, or leave it out of --outputs"
+        else "check the sensor and its cable, or remove it from --outputs"
     )
     return Mistake(place, f"constant {kind}, always {column[0]:.9g}; {remedy}")
 
@@ -119,7 +124,7 @@ def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
         )
     else:
         remedy = "--units m or --units mm" if span < low else "--units nm"
-    return Mistake(place, f"covers {span:.3g} {unit}, which cannot be; try {remedy}")
+    return Mistake(place, f"covers {span:.3g} {unit}, which is impossible; try {remedy}")
 
 
 def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -> Iterator[Mistake]:
@@ -135,8 +140,8 @@ def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -
             times = f" ({len(places)} such places)" if len(places) > 1 else ""
             yield Mistake(
                 where(name, rows, start, stop),
-                f"stands at {column[start]:.6g} while the voltage goes on{times}: the sensor or the drive is "
-                "clipped; lower the amplitude or use a larger range",
+                f"stays at {column[start]:.6g} while the voltage moves on{times}: the sensor or the "
+                "drive is clipped; lower the amplitude or use a larger range",
             )
 
 
@@ -169,8 +174,8 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
         return [
             Mistake(
                 where(name, rows, k, k + 1),
-                f"time does not increase ({time_s[k]:.9g} s, then {time_s[k + 1]:.9g} s; {back.size} such "
-                "steps); write it with more digits, or leave it out and give --rate",
+                f"time does not increase ({time_s[k]:.9g} s, then {time_s[k + 1]:.9g} s; {back.size} "
+                "such steps); write it with more digits, or omit it and give --rate",
             )
         ]
     gaps = np.flatnonzero(steps > 1.5 * typical)
@@ -186,8 +191,8 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
         return [
             Mistake(
                 where(name, rows, k, k),
-                f"non-uniform time: steps from {steps.min():.6g} to {steps.max():.6g} s; resample the record "
-                "onto one sample time, or give --rate if the sampling was uniform in truth",
+                f"non-uniform time: steps from {steps.min():.6g} to {steps.max():.6g} s; resample the "
+                "record to a uniform sample time, or give --rate if the sampling was uniform",
             )
         ]
     return []
@@ -219,9 +224,9 @@ def hidden_gaps(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
     found = [
         Mistake(
             where(name, rows, k, k + 1),
-            f"goes on by {steps[k]:.6g} instead of {typical:.6g}: about "
-            f"{max(round(steps[k] / typical) - 1, 1)} samples are missing, which --rate does not mend; cut "
-            "the record there",
+            f"steps by {steps[k]:.6g} instead of {typical:.6g}: about "
+            f"{max(round(steps[k] / typical) - 1, 1)} samples are missing, which --rate does not "
+            "repair; cut the record there",
         )
         for k in lasting[:SHOWN]
     ]

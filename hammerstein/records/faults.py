@@ -148,8 +148,9 @@ def _drift(trial: _Trial, largest_um: float) -> float:
 def _drift_text(drift_um: float, rows: Indices, record: Record) -> str:
     seconds = float(rows[-1] - rows[0]) * record.sample_time_s
     return (
-        f"drifts by {drift_um:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, whatever the "
-        "voltages do: let the set-up settle before it is recorded, or subtract the trend from this column"
+        f"drifts by {drift_um:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, "
+        "independently of the voltages: let the set-up settle before you record, or subtract the "
+        "trend from this column"
     )
 
 
@@ -169,8 +170,8 @@ def _saturation(trial: _Trial, largest_um: float, rows: Indices) -> str:
     least = 100.0 * min(float(slope[k]) for k in flat.values()) / steepest
     row = rows[list(flat.values())[-1]]
     return (
-        f"saturates: towards its {' and '.join(flat)} readings (row {row}) it moves by {least:.0f} % of its "
-        "steepest slope only; lower the amplitude, or take the model for what is between"
+        f"saturates: towards its {' and '.join(flat)} readings (row {row}) its slope falls to {least:.0f} % "
+        "of the steepest slope; lower the amplitude, or use the model only between them"
     )
 
 
@@ -200,9 +201,10 @@ def _clipped(record: Record, k: int, o: int, side: float, level: float) -> Fault
     return Fault(
         record.source,
         record.outputs,
-        f"{name} of {record.source} is clipped on its way to the actuator: {moved} stands still while the "
-        f"command goes on beyond {record.rest_v[k] + side * level:.4g} V (rows {record.rows[start]} to "
-        f"{record.rows[stop]}{more}); keep the command in the range of the amplifier, or record its output",
+        f"{name} of {record.source} is clipped on its way to the actuator: {moved} is constant while "
+        f"the command exceeds {record.rest_v[k] + side * level:.4g} V (rows {record.rows[start]} to "
+        f"{record.rows[stop]}{more}); keep the command within the range of the amplifier, or record "
+        "its output",
     )
 
 
@@ -274,8 +276,8 @@ def _clipped_readings(record: Record) -> Iterator[Fault]:
                     record.source,
                     record.outputs,
                     f"{name} of {record.source} is clipped by its recorder at {limit:.4g} V: {moved} "
-                    f"rises and falls while it stands (rows {record.rows[start]} to {record.rows[stop]}, "
-                    f"{len(places)} such places); record it over a larger range",
+                    f"still moves while it is constant (rows {record.rows[start]} to "
+                    f"{record.rows[stop]}, {len(places)} such places); record it with a larger range",
                 )
 
 

@@ -96,12 +96,12 @@ def doubtful_responses(records: Sequence[Record]) -> list[str]:
     --------
     >>> u, noise = np.sin(np.arange(400.0) / 20.0), np.random.default_rng(1).normal(size=400)
     >>> doubtful_responses([Record([u], [5.0 * u], 1e-3)]), doubtful_responses([Record([u], [noise], 1e-3)])
-    ([], ['no output of record answers to its voltages: they explain less than 2 % of each'])
+    ([], ['no output of record responds to its voltages: they explain less than 2 % of each'])
     """
     found = []
     for record in records:
         copies = [
-            f"{output} of {record.source} holds the same numbers as {name}"
+            f"{output} of {record.source} equals the column {name}"
             for name, u in zip(record.inputs, record.u_v, strict=True)
             for output, y in zip(record.outputs, record.y_um, strict=True)
             if np.ptp(y) > 0.0 and np.array_equal(u, y)
@@ -109,7 +109,7 @@ def doubtful_responses(records: Sequence[Record]) -> list[str]:
         found += copies
         if not copies and _explained(record) < ANSWERED:
             found.append(
-                f"no output of {record.source} answers to its voltages: they explain less than "
+                f"no output of {record.source} responds to its voltages: they explain less than "
                 f"{100 * ANSWERED:g} % of each"
             )
     return found
@@ -123,7 +123,7 @@ def doubtful_jumps(records: Sequence[Record]) -> list[str]:
     >>> u = np.sin(np.arange(400.0) / 20.0)
     >>> moved = 5.0 * u + 500.0 * (np.arange(400) >= 250)
     >>> doubtful_jumps([Record([u], [5.0 * u], 1e-3)]), doubtful_jumps([Record([u], [moved], 1e-3)])
-    ([], ['y1 of record jumps by 500.2 um at row 251, and no voltage does: cut the record there'])
+    ([], ['y1 of record jumps by 500.2 um at row 251, but no voltage jumps: cut the record there'])
     """
     found = []
     for record in records:
@@ -139,7 +139,7 @@ def doubtful_jumps(records: Sequence[Record]) -> list[str]:
         for o in np.flatnonzero((jumps > largest) & (jumps > SUDDEN * np.quantile(size, USUAL, axis=1))):
             found.append(
                 f"{record.outputs[o]} of {record.source} jumps by {jumps[o]:.4g} um at row "
-                f"{record.rows[places[o] + 1]}, and no voltage does: cut the record there"
+                f"{record.rows[places[o] + 1]}, but no voltage jumps: cut the record there"
             )
     return found
 
@@ -161,13 +161,14 @@ def doubtful_clocks(records: Sequence[Record]) -> list[str]:
         most = max(_reversals(u) for u in record.u_v[list(driven_inputs(record))])
         if rate_hz < SLOW_HZ and 2.0 * record.samples > FINE * most:
             found.append(
-                f"{record.source}: {rate_hz:.4g} Hz for {record.samples / rate_hz:.4g} s, and the voltage "
-                f"turns {most} times. If its times are milliseconds, name their column t_ms"
+                f"{record.source}: {rate_hz:.4g} Hz for {record.samples / rate_hz:.4g} s, and the "
+                f"voltage turns {most} times. If its times are in milliseconds, name their column t_ms"
             )
         if 0.5 * most * rate_hz / record.samples > FAST_HZ:
             found.append(
-                f"{record.source}: the voltage turns {most} times within {record.samples / rate_hz:.4g} s, "
-                "faster than any that drives an actuator. If its times are seconds, name their column t_s"
+                f"{record.source}: the voltage turns {most} times within "
+                f"{record.samples / rate_hz:.4g} s, too fast for an actuator. If its times are in "
+                "seconds, name their column t_s"
             )
     return found
 

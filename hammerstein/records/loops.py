@@ -54,8 +54,8 @@ class Loop:
     Parameters
     ----------
     input, output : names of the axes
-    start, turn, stop : samples at which it begins, turns, and is closed
-    minor : whether it is an excursion on the branch of a larger loop
+    start, turn, stop : samples at which it starts, turns and closes
+    minor : whether it is inside a larger loop
     amplitude_v : half the swing of the voltage [V]
     mid_v : voltage in the middle of the swing [V]
     height_um : peak to peak of the output [um]
@@ -95,7 +95,7 @@ class Loop:
 
     @property
     def samples(self) -> int:
-        """Samples from the start to the close."""
+        """Number of samples from start to stop."""
         return self.stop - self.start
 
 
@@ -117,9 +117,9 @@ class _Path(NamedTuple):
 def loop_table(record: Record) -> list[Loop]:
     """All loops of a record, pair by pair (inputs that are driven, every output), in the order of time.
 
-    Only cycles in which one input moves alone are loops of a pair: with two in motion, nobody knows which of
-    them the output follows. Sines, triangles, modulated amplitudes, nested loops; the period need not be
-    known. The way from rest belongs to no loop. A record without a whole cycle gives an empty list.
+    Only cycles in which a single input moves are loops of a pair: if two move, it is unknown which of them
+    the output follows. The signals may be sines, triangles, modulated amplitudes or nested loops of unknown
+    period. The first branch from rest belongs to no loop. A record without a whole cycle gives an empty list.
 
     Parameters
     ----------
@@ -192,17 +192,16 @@ def turned_backwards(loops: Sequence[Loop]) -> str | None:
     >>> turned = 2.0 * np.pi * np.arange(1200) / 400
     >>> late = Record([10.0 * np.sin(turned)], [np.sin(turned - np.radians(305.0))], 5e-5)
     >>> print(turned_backwards(loop_table(late))[:58])
-    y1 and u1: the loop turns backwards (width -82 %). The out
+    y1 and u1: the loop runs backwards (width -82 %). The outp
     """
     settled = [loop for loop in telling_loops(loops) if loop.settled]
     for name in dict.fromkeys(loop.input for loop in settled):
         largest = max((loop for loop in settled if loop.input == name), key=lambda loop: loop.height_um)
         if largest.width_percent < BACKWARDS_PERCENT and largest.area_v_um < 0:
             return (
-                f"{largest.output} and {name}: the loop turns backwards "
-                f"(width {largest.width_percent:.0f} %). The output leads, "
-                "or lags by more than half a turn: the width is not hysteresis. "
-                "Drive slower, or swap the columns"
+                f"{largest.output} and {name}: the loop runs backwards (width "
+                f"{largest.width_percent:.0f} %). The output leads, or lags by more than half a "
+                "period: the width is not hysteresis. Use a lower frequency, or swap the columns"
             )
     return None
 
@@ -244,11 +243,11 @@ def without_loops(record: Record) -> str:
     driven = [record.inputs[k] for k in driven_inputs(record)]
     if len(driven) > 1:
         return (
-            f"no loop of a pair: {' and '.join(driven)} move at once; drive one input at a time, or let "
-            "hammerstein identify tell them apart"
+            f"no loop of a pair: {' and '.join(driven)} move together; drive one input at a time, or let "
+            "hammerstein identify separate them"
         )
     if find_cycles(record.u_v[driven_inputs(record)[0]]).excursions:
-        return f"no loop found: {driven[0]} jumps between its levels; drive it by sines or triangles"
+        return f"no loop found: {driven[0]} jumps between its levels; drive it with sines or triangles"
     return "no loop found: a voltage must turn twice; record two periods or more"
 
 

@@ -56,7 +56,8 @@ class Reader:
         self.left -= size
         if self.left < 0:
             raise ValueError(
-                f"it unfolds to more than {self.most_bytes / 1e6:.0f} MB; save the signals alone in a file"
+                f"it decompresses to more than {self.most_bytes / 1e6:.0f} MB; save only the "
+                "signals in a file"
             )
 
     def elements(self, data: memoryview) -> Iterator[Element]:
@@ -92,7 +93,7 @@ class Reader:
         self.spend(size)
         whole = zlib.decompressobj().decompress(data, size + 8)
         if len(whole) < size + 8:
-            raise ValueError("a compressed variable is shorter than it says")
+            raise ValueError("a compressed variable is shorter than declared")
         return memoryview(whole)
 
     def numbers(self, element: Element, count: int) -> NDArray[Any]:
@@ -108,7 +109,7 @@ class Reader:
     def variable(self, data: memoryview, depth: int = 0) -> tuple[str, Any]:
         """Name and content of a matrix element."""
         if depth > DEEPEST:
-            raise ValueError(f"structures lie more than {DEEPEST} deep within each other")
+            raise ValueError(f"structures are nested more than {DEEPEST} deep")
         if not len(data):
             return "", np.zeros((0, 0))
         parts = self.elements(data)
@@ -122,7 +123,7 @@ class Reader:
             raise ValueError(f"an array has the shape {shape}")
         count = math.prod(shape)
         if count > len(data):
-            raise ValueError(f"an array of {count:.3g} values stands in {len(data)} bytes")
+            raise ValueError(f"an array of {count:.3g} values is stored in {len(data)} bytes")
         name = bytes(_next(parts).data).decode("latin-1")
         if class_ == TEXT:
             return name, _text(_next(parts))
@@ -159,7 +160,7 @@ class Reader:
 
     def _inner(self, element: Element, depth: int) -> Any:
         if element.kind != MATRIX:
-            raise ValueError(f"an element of type {element.kind} stands where a variable should")
+            raise ValueError(f"an element of type {element.kind} is in place of a variable")
         return self.variable(element.data, depth + 1)[1]
 
 
@@ -196,7 +197,7 @@ def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
         if element.kind == COMPRESSED:
             element, _ = reader.element(reader.inflated(element.data), 0)
         if element.kind != MATRIX:
-            raise ValueError(f"an element of type {element.kind} stands where a variable should")
+            raise ValueError(f"an element of type {element.kind} is in place of a variable")
         name, value = reader.variable(element.data)
         if value is not UNREAD and name:
             found[name] = value

@@ -241,8 +241,8 @@ def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Ind
     return [
         Mistake(
             where(found.column),
-            f"outliers in {found.describe()} ({100 * len(found.rows) / found.samples:.1f} %), more than the "
-            f"{100 * MOST:.0f} % that may be left out; mend the record",
+            f"outliers in {found.describe()} ({100 * len(found.rows) / found.samples:.1f} %), more "
+            f"than the {100 * MOST:.0f} % that may be excluded; repair the record",
         )
         for found in listed(names, values, lost, rows)
         if len(found.rows) > max(MOST * found.samples, 1)

@@ -110,7 +110,7 @@ class Header:
 
     @classmethod
     def of(cls, path: str | Path) -> Header:
-        """Give that of a file; an array is known by its name and by the unit that the file states.
+        """Return that of a file; an array is known by its name and by the unit that the file states.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class Header:
     def listed(self) -> str:
         """Its columns with their numbers, for a message."""
         if not self.units:
-            return "`hammerstein show` lists what is in the file"
+            return "`hammerstein show` lists the content of the file"
         return _known("", unique(self.names), len(self.units))
 
 
@@ -198,7 +198,7 @@ def refuse_missing(path: Path) -> None:
         if not path.is_file():
             what = "does not exist; check its name and folder"
             if path.exists():
-                what = "is a folder; give a file" if path.is_dir() else "is no ordinary file; give one"
+                what = "is a folder; give a file" if path.is_dir() else "is no regular file; give one"
             raise InputError(str(path), what)
         if path.stat().st_size == 0:
             raise InputError(str(path), "is empty (0 bytes); record it again")
@@ -239,7 +239,7 @@ def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int)
             indices.append(found[0])
         elif found:
             numbers = " and ".join(str(k + 1) for k in found)
-            what = f"stands {len(found)} times in the header; give its number, {numbers}"
+            what = f"is {len(found)} times in the header; give its number, {numbers}"
             mistakes.append(Mistake(f"column {column}", what))
         else:
             mistakes.append(Mistake(f"column {column}", "is not in the file; " + _known(column, own, width)))
@@ -297,6 +297,6 @@ def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
         try:
             values[k] = table[name].cast(arrow.float64()).to_numpy()
         except (arrow.ArrowException, TypeError):
-            what = f"holds {table[name].type}, not numbers; choose another column"
+            what = f"has {table[name].type}, not numbers; choose another column"
             text.append(Mistake(where(name, rows, 0, table.num_rows - 1), what))
     return _columns(path, chosen, values, rows, chosen, text)

@@ -34,7 +34,7 @@ def read_records(
     output_scale: float | None = None,
     all_driven: bool = True,
 ) -> tuple[Record, ...]:
-    """Records of one actuator from files: CSV and other text, ``.npy``, ``.npz``, ``.mat``, Parquet.
+    """Read records of one actuator from files: CSV and other text, ``.npy``, ``.npz``, ``.mat``, Parquet.
 
     Several files are several experiments. A column is named as in the file, or by its number from 1; see
     `hammerstein.records.readers` for arrays with more than two axes and files with several variables.
@@ -202,7 +202,7 @@ def read_paired_records(
     variables: tuple[str | None, str | None] = (None, None),
     all_driven: bool = True,
 ) -> tuple[Record, ...]:
-    """Records whose voltages and displacements stand in two files of arrays, ``.npy``, ``.npz`` or ``.mat``.
+    """Read records from two files of arrays, voltages and displacements: ``.npy``, ``.npz`` or ``.mat``.
 
     One record for every experiment (realisation, repetition, column of nested loops); the periods of a
     periodic experiment follow each other in time, and the record keeps their length.
@@ -210,12 +210,12 @@ def read_paired_records(
     Parameters
     ----------
     u_file, y_file : files with the voltages and the displacements; same axes, channels may differ in number
-    axes : what each axis of the arrays is, of ``sample``, ``channel``, ``experiment`` and ``period``;
+    axes : meaning of each array axis: ``sample``, ``channel``, ``experiment`` or ``period``;
         ``("sample", "channel", "experiment", "period")`` reads an array of four axes,
-        ``("sample", "experiment")`` reads loops that stand side by side, one a column
+        ``("sample", "experiment")`` reads one loop from each column
     rate_hz : samples a second [Hz]
     input_scale, output_scale : factors that turn the files' numbers into V and um
-    variables : names of the two variables, where a file holds more than one
+    variables : names of the two variables, if a file holds more than one
     all_driven : whether every input must be driven in some record, as identification needs it
 
     Raises
@@ -228,7 +228,7 @@ def read_paired_records(
     y = _by_experiment(read_array(y_file, variables[1]), axes, str(y_file))
     source = f"{u_file} and {Path(y_file).name}"
     if (len(u), *u.shape[2:]) != (len(y), *y.shape[2:]):
-        raise InputError(source, f"hold arrays of different size: {_sizes(u)} against {_sizes(y)}")
+        raise InputError(source, f"have arrays of different sizes: {_sizes(u)} and {_sizes(y)}")
     period = u.shape[3] if "period" in axes else None
     records: list[Record] = []
     failures: list[InputError] = []

@@ -35,13 +35,13 @@ class Record(NotebookRepr):
     y_um : (output, sample) displacements [um]; the same
     sample_time_s : time between two samples [s]
     inputs, outputs : names of the axes; ``u1``, ``u2``, ... and ``y1``, ``y2``, ... if not given; a name that
-        stands twice is numbered
-    source : where the record comes from, named in every message
+        is repeated is numbered
+    source : origin of the record, for messages
     rows : (sample,) row of each sample in its file, from 1
-    period_samples : length of one period, where the experiment is known to be periodic
-    rest_v : (input,) voltage from which ``u_v`` counts [V]; zero, for absolute voltages, if not given
-    outliers : samples that were left out, found by `hammerstein.records.outliers`
-    verified : True skips the search for mistakes, for a part of a record that has passed it
+    period_samples : length of one period of a periodic experiment; None if it is not known
+    rest_v : (input,) voltage that ``u_v`` is relative to [V]; zero, for absolute voltages, if not given
+    outliers : excluded samples, from `hammerstein.records.outliers`
+    verified : True skips the checks, for a part of a checked record
 
     Raises
     ------

@@ -57,8 +57,8 @@ def refuse_other_time(path: str | Path, rate_hz: float, wanted: Sequence[str]) -
         seconds = step * (unit.factor if unit and unit.kind == "time" else 1.0)
         raise InputError(
             str(path),
-            f"the rate given is {rate_hz:g} Hz, but its column {name} goes on by {step:.6g}, which "
-            f"is {1.0 / seconds:.6g} Hz; give --time {name} in place of --rate, or the right rate",
+            f"the given rate is {rate_hz:g} Hz, but the column {name} has steps of {step:.6g}, which "
+            f"is {1.0 / seconds:.6g} Hz; give --time {name} instead of --rate, or the right rate",
         )
     mistakes = hidden_gaps(name, time_s, time.rows)
     if mistakes:
@@ -78,7 +78,7 @@ def sample_time_of(columns: Columns) -> tuple[list[Mistake], float]:
         return mistakes, 1.0
     step = sample_time(time_s)
     if not RATE_HZ.holds(1.0 / step):
-        what = f"goes on by {step:.6g} s a sample, which is a rate of {1.0 / step:.6g} Hz; it "
+        what = f"has steps of {step:.6g} s, which is a rate of {1.0 / step:.6g} Hz; it "
         what += f"{RATE_HZ.words()}. Is its unit another than its name says?"
         return [Mistake(where(name), what)], 1.0
     return [], step

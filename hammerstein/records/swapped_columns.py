@@ -125,8 +125,9 @@ def refuse_swapped(records: Sequence[Record]) -> None:
     mistakes = [
         Mistake(
             where(first.outputs[o], first.rows, 0, first.samples - 1),
-            f"leads {first.inputs[k]} by {-np.degrees(lag[o, k]):.1f} degrees, which no actuator can; "
-            "are input and output columns swapped? Where they are not, give --accept-order",
+            f"leads {first.inputs[k]} by {-np.degrees(lag[o, k]):.1f} degrees, which is impossible "
+            "for an actuator; are input and output columns swapped? If they are not, give "
+            "--accept-order",
         )
         for o, k in leads(records)
     ]

@@ -20,12 +20,12 @@ def records_of_time_response(
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
 ) -> tuple[Record, ...]:
-    """Records of a ``control.TimeResponseData``, one a trace, checked as those from files are.
+    """Records of a ``control.TimeResponseData``, one for each trace, checked like those from files.
 
     Parameters
     ----------
     data : voltages [V] and displacements [um] over a uniform time [s]
-    inputs, outputs : labels of the signals that are voltages and displacements; all of them if not given
+    inputs, outputs : labels of voltages and displacements; all signals if not given
 
     Raises
     ------

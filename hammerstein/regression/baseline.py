@@ -54,7 +54,7 @@ class Baseline:
 
     @classmethod
     def of(cls, report: Report) -> Baseline:
-        """Give the numbers of a report.
+        """Return the numbers of a report.
 
         Raises
         ------
@@ -66,8 +66,8 @@ class Baseline:
             for metric, value in numbers.items():
                 if not math.isfinite(value):
                     raise SimulationError(
-                        f"{report.name}: {metric} is {value} in the row {words_of(key)}; "
-                        "a baseline holds finite numbers only"
+                        f"{report.name}: {metric} is {value} in the row {words_of(key)}; a baseline "
+                        "needs finite numbers"
                     )
         return cls(report.digest, report.model_digest, rows)
 
@@ -176,7 +176,8 @@ def _by_key(
         key = key_of(names)
         if key in found:
             raise InputError(
-                source, f"two rows are both {words_of(key)}; give every label and every swept value once"
+                source,
+                f"two rows are both {words_of(key)}; use every label and every swept value only once",
             )
         found[key] = numbers
     return found

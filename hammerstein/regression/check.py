@@ -36,7 +36,7 @@ def check_files(
     ----------
     paths : scenario files, or folders of them
     baseline_folder : where the baselines are
-    update : accept the numbers: write the baselines, in place of comparing. Nothing is written otherwise.
+    update : write the baselines instead of comparing them; otherwise nothing is written
     jobs : scenarios side by side, or an executor that takes their cases; the numbers do not depend on it
     progress : called with what is done, how much of it, and of how much
     finished : called with the name of each scenario that is done
@@ -65,24 +65,24 @@ def check(
     jobs: Jobs = 1,
     progress: Progress | None = None,
 ) -> CheckResult:
-    """Run one scenario, or every scenario of a folder, and compare the numbers with what was accepted.
+    """Run one scenario, or every scenario of a folder, and compare the numbers with the accepted ones.
 
     Parameters
     ----------
     scenario : a scenario, its file, a folder of files, or a mapping with what a file would hold
-    baseline : folder of the baselines; of a scenario that is no file, the file of its baseline
-    update : accept the numbers: write the baselines, in place of comparing. Nothing is written otherwise.
+    baseline : folder of the baselines; for a scenario without a file, the file of its baseline
+    update : write the baselines instead of comparing them; otherwise nothing is written
     jobs, progress : as for ``check_files``
 
     Raises
     ------
-    InputError : a scenario is wrong, or one that is no file comes without the file of its baseline
+    InputError : a scenario is wrong, or a scenario without a file has no file of its baseline
     """
     if isinstance(scenario, str | Path):
         folder = DEFAULT_FOLDER if baseline is None else Path(baseline)
         return check_files([Path(scenario)], folder, update, jobs, progress)
     if baseline is None:
-        raise InputError("check", "a scenario that is no file has no name: give the file of its baseline")
+        raise InputError("check", "a scenario without a file has no name: give the file of its baseline")
     file, validated = Path(baseline), scenario_of(scenario)[1]
     (outcome,) = run_all({file.stem: validated}, _keep, jobs, progress)
     return CheckResult((_checked(outcome, Path(file.stem), file, update),), file.parent)
@@ -126,7 +126,7 @@ def _load(path: Path) -> Baseline:
     try:
         return Baseline.load(path)
     except InputError as error:
-        advice = Mistake("", "restore the file, or write it anew with --update-baseline")
+        advice = Mistake("", "restore the file, or write a new one with --update-baseline")
         raise InputError(str(path), [*error.mistakes, advice]) from None
 
 

@@ -33,13 +33,13 @@ class Kind(StrEnum):
     """What can be wrong with a scenario's numbers."""
 
     MOVED = "left its tolerance"
-    MISSING_ROW = "row of the baseline is missing"
+    MISSING_ROW = "a row of the baseline is missing"
     EXTRA_ROW = "row is not in the baseline"
     MISSING_NUMBER = "number of the baseline is missing"
     EXTRA_NUMBER = "number is not in the baseline"
     MISSING_COLUMN = "number of every row of the baseline is missing"
-    SCENARIO_CHANGED = "the scenario changed since its baseline was made"
-    MODEL_CHANGED = "the actuator's model changed since the baseline was made"
+    SCENARIO_CHANGED = "the scenario changed after its baseline was made"
+    MODEL_CHANGED = "the actuator's model changed after the baseline was made"
     NO_BASELINE = "has no baseline"
     ORPHAN = "belongs to no scenario"
 

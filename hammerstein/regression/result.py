@@ -21,7 +21,7 @@ from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.scenario.scenario import Tolerance
 
 DEFAULT_FOLDER = Path("reports/baseline")
-SUITE, TITLE = "hammerstein check", "# Scenarios against their baselines"
+SUITE, TITLE = "hammerstein check", "# Scenarios and their baselines"
 JUNIT, SUMMARY = Owner("check junit", single=True), Owner("check summary", single=True)
 SHOWN = 20  # lines of a table; who has moved more than that wants the worst, not all
 MISSING = "missing"
@@ -65,7 +65,7 @@ class ScenarioCheck:
         if self.error is not None:
             return f"{self.name}: could not be checked"
         if self.written is not None:
-            aside = f"; the one that was edited is now {self.kept}" if self.kept else ""
+            aside = f"; your edited file is now {self.kept}" if self.kept else ""
             word = "written" if self.written else "unchanged"
             return f"{self.name}: baseline {word}, {_count(self.numbers)}{aside}"
         found = [*_counts(self.findings, self.numbers)] or [f"{_count(self.numbers)} within tolerance"]
@@ -101,7 +101,7 @@ class ScenarioCheck:
         words = ["hammerstein", "check", str(self.path)]
         if baseline_folder != DEFAULT_FOLDER:
             words += ["--baseline", str(baseline_folder)]
-        return f"If this is intended: {shlex.join([*words, '--update-baseline'])}"
+        return f"If you intended this change: {shlex.join([*words, '--update-baseline'])}"
 
 
 @dataclass(frozen=True)
@@ -123,15 +123,15 @@ class CheckResult:
         return max([*errors, ToleranceError.exit_code if self.findings else 0])
 
     def text(self) -> str:
-        """Give the whole result for a person."""
+        """Return the whole result for a person."""
         return "\n".join(line for check in self.checks for line in check.lines(self.baseline_folder))
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the whole result as plain JSON."""
+        """Return the whole result as plain JSON."""
         return {"exit_code": self.exit_code, "scenarios": [_as_dict(check) for check in self.checks]}
 
     def markdown(self) -> str:
-        """Give a summary page: one line a scenario, then what differs."""
+        """Return a summary page: one line a scenario, then what differs."""
         return Markdown("\n\n").join([Markdown(TITLE), self.body()]) + "\n"
 
     def body(self, figures: Mapping[str, Markdown] = MappingProxyType({})) -> Markdown:
@@ -158,7 +158,7 @@ class CheckResult:
         return Markdown("\n\n").join(parts)
 
     def junit(self) -> str:
-        """Give a JUnit XML file: one test case a scenario, without times so that two runs are equal."""
+        """Return a JUnit XML file: one test case a scenario, without times so that two runs are equal."""
         failures = sum(not check.passed and check.error is None for check in self.checks)
         errors = sum(check.error is not None for check in self.checks)
         counts = {"tests": str(len(self.checks)), "failures": str(failures), "errors": str(errors)}
@@ -212,7 +212,7 @@ def _table(findings: Sequence[Finding]) -> list[str]:
     lines = ["  " + "  ".join(c.ljust(widths[c]) for c in columns).rstrip()]
     lines += ["  " + "  ".join(row.get(c, "").ljust(widths[c]) for c in columns).rstrip() for row in rows]
     if len(inside) > SHOWN:
-        lines.append(f"  and {len(inside) - SHOWN} more; these are the worst")
+        lines.append(f"  and {len(inside) - SHOWN} more; the worst are listed")
     return lines
 
 

@@ -36,7 +36,7 @@ def check_page(result: CheckResult) -> str:
     return Page(
         heading=Markdown(TITLE),
         what=f"Check against {result.baseline_folder}",
-        title=f"{failed} of {len(result.checks)} scenarios left their baseline",
+        title=f"{failed} of {len(result.checks)} scenarios differ from their baseline",
         answer=Markdown(),
         body=result.body({name: Markdown("\n\n").join(figures) for name, figures in shown.items()}),
     ).html(drawn)

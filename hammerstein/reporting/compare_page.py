@@ -16,9 +16,9 @@ COMPARISON = Owner("comparison")
 ALWAYS = ("compare.html", "compare.json", "compare.md")
 
 CAPTION = (
-    "One line a model, with its free numbers in brackets. Left: its errors, filled where they are judged, "
-    "hollow on the fitted records beside them, one sign for each frequency of the records. Right: what its "
-    "compensator leaves on the best model of another kind."
+    "One line for each model, with its number of parameters in brackets. Left: errors on the records "
+    "that judge the model (filled) and on the fitted records (hollow), one symbol for each "
+    "frequency. Right: error of its compensator on the best model of another kind."
 )
 
 

@@ -30,23 +30,24 @@ ALWAYS = ("fit.json", "report.html", "report.md")
 CAPTIONS = {
     "loops": (
         "Loops",
-        "One cycle of each input, measured and by the model (dark, broken). Of an input that only moves "
-        "together with others, what the model says of the others is taken off what was measured.",
+        "One cycle of each input: measured, and predicted by the model (dark dashes). If an input "
+        "only moves together with others, the predicted response to the others is subtracted from "
+        "the measurement.",
     ),
     "residual": (
-        "What the models leave",
-        "Over time, what the kept model leaves; over frequency, the largest amplitude in each band that "
-        "every kind of model leaves.",
+        "Prediction error",
+        "Over time: prediction error of the chosen model. Over frequency: largest amplitude in each "
+        "band, for every kind of model.",
     ),
     "operators": (
         "Error against the number of operators",
-        "Lines: error on parts of the records that were held out, against the number of operators, "
-        "with thresholds that are not fitted. The grey bar and the stars are this model.",
+        "Lines: cross-validation error against the number of operators, without fitted thresholds. "
+        "The grey bar and the stars mark this model.",
     ),
     "response": (
         "Gain over frequency",
-        "Gain of each pair: of the records, and of what the model makes of their voltages, by the "
-        "same estimate; and the part of each output's power that the inputs explain linearly.",
+        "Gain of each pair, estimated from the records and, in the same way, from the model's "
+        "predictions. Below: the fraction of each output's power that the inputs explain linearly.",
     ),
 }
 
@@ -65,7 +66,7 @@ class Asked(NamedTuple):
 BEGINNINGS = {
     "rest": "from rest",
     "stepped": "with a step from 0 V",
-    "turned": "after the voltages had turned at",
+    "turned": "after turning points at",
     "repeated": "in motion",
 }
 
@@ -146,7 +147,7 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
     numbers = [f"Error: {percent(worst / 100.0)} of the range, rms of the worst output ({records})."]
     if "linear" in fit.judged and fit.kind != "linear":
         linear = max(fit.judged["linear"].nrmse_percent)
-        numbers.append(f"A linear gain alone: {percent(linear / 100.0)}.")
+        numbers.append(f"Error of a linear gain: {percent(linear / 100.0)}.")
     resonances = [axis.axis.resonance_hz for axis in fit.axes if axis.axis.resonance_hz is not None]
     fastest = min(fit.records, key=lambda record: record.sample_time_s).rate_hz
     numbers.append(
@@ -162,7 +163,7 @@ def _usable(fit: Fit) -> str:
     if not fit.invertible:
         return "Usable for simulation only: the model has no inverse."
     if fit.flags:
-        return "Usable with care: the model cannot represent all that the records hold (see below)."
+        return "Usable with care: the records show effects that the model cannot represent (see below)."
     if not fit.validation:
         return "Usable for simulation and compensation; untested on other records."
     return "Usable for simulation and compensation."
@@ -180,7 +181,7 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
         file = str(asked.model_file) if asked else f"{model.name}.json"
         return "Next:", _command("compensate", file, "path.csv", "--law", law, "--out", "drive.csv")
     if asked is None:
-        return "Next: identify again, with a validation record that is not fitted.", ""
+        return "Next: identify again, with a validation record.", ""
     files = [str(file.with_name(f"{file.stem}_validation{file.suffix}")) for file in asked.files]
     again = _command("identify", *asked.words, *(word for file in files for word in ("--validate", file)))
     return f"Next: record another motion as {' and '.join(files)}, then", again
@@ -195,16 +196,16 @@ def headline(model: HammersteinModel, fit: Fit) -> str:
     score = fit.judged[fit.kind]
     shares, rms = score.nrmse_percent, score.rms_um
     off = " and ".join(
-        f"{um:.3g} um of {name} ({percent(share / 100.0)} of its range)"
+        f"{um:.3g} um on {name} ({percent(share / 100.0)} of its range)"
         for name, um, share in zip(fit.outputs, rms, shares, strict=True)
     )
     where = (
-        "on records that it was not fitted to"
+        "on the validation records"
         if fit.validation
         else "on the fitted records; there is no validation record"
     )
-    warned = " It cannot represent all that they hold: see below." if fit.flags else ""
-    return f"The model {model.name} is off by {off}, rms, {where}.{warned}"
+    warned = " The records show effects that it cannot represent: see below." if fit.flags else ""
+    return f"Rms error of the model {model.name}: {off}, {where}.{warned}"
 
 
 def _body(model: HammersteinModel, fit: Fit) -> Markdown:
@@ -231,7 +232,7 @@ def _begun(fit: Fit) -> Iterator[tuple[str, str, Sequence[float]]]:
             turns = zip(fit.inputs, start.turn_v, record.rest_v, strict=True)
             began += ", ".join(f" {turn + rest:.4g} V on {name}" for name, (_, turn), rest in turns)
         if start.first:
-            began += f", the first {start.first} samples left out"
+            began += f", first {start.first} samples excluded"
         yield PurePath(record.source).name, began, offsets
 
 

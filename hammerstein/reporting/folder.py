@@ -102,7 +102,7 @@ class Writer:
     png: bool = False
 
     def on(self, jobs: Jobs) -> Writer:
-        """Give the writer of what these workers find."""
+        """Return the writer of what these workers find."""
         elsewhere = getattr(jobs, "elsewhere", "")
         return self if self.store is None else replace(self, store=self.store.computed(elsewhere))
 

@@ -31,34 +31,33 @@ TITLES = {
     "loops": "Loops",
     "errors": "Errors over time",
     "drift": "Drift",
-    "sensitivity": "What the spread is due to",
+    "sensitivity": "Causes of the spread",
     "path": "Path and axes over time",
 }
 CAPTIONS = {
-    "sensitivity": "Parts of the variance over the drawn actuators, for each compensator where its 95 % band "
-    "ends highest. Dark: of the parameter alone; pale: with all it does together with others; thin: 95 % "
-    "limits. Errors of the weights of one axis hang together and count as one parameter.",
-    "sweep_true": "The true position, which a sensor without lag and noise would read. One panel for each "
-    "transfer, one curve for each compensator. Both axes are logarithmic where the values span more than "
-    "about a decade.",
-    "sweep": "What the sensor reads. One panel for each transfer, one curve for each compensator or model. "
-    "Both axes are logarithmic where the values span more than about a decade.",
-    "trials_true": "The error that no learner sees, one panel for each measured axis. Trial 1 is without "
-    "learning; each one after it corrects the voltages by what the sensor read in the one before.",
-    "trials": "The same, as the sensor reads it.",
-    "operators": "The rms error of models that differ by their number of play operators alone.",
-    "loops": "One row of panels for each measured axis, one column for each driven one. Each curve is the "
+    "sensitivity": "Shares of the variance over the drawn actuators, for each compensator, at the condition "
+    "with the highest 95 % limit. Dark: the parameter alone. Pale: with its interactions. Thin: 95 % limits. "
+    "Correlated errors of the weights of one axis count as one parameter.",
+    "sweep_true": "The true position, without lag and noise of the sensor. One panel for each transfer, one "
+    "curve for each compensator. Axes are logarithmic if the values span more than about a decade.",
+    "sweep": "The sensor's reading. One panel for each transfer, one curve for each compensator or model. "
+    "Axes are logarithmic if the values span more than about a decade.",
+    "trials_true": "Error of the true position, one panel for each measured axis. Trial 1 is without "
+    "learning; each later trial corrects the voltages with the sensor readings of the previous one.",
+    "trials": "The same, from the sensor's readings.",
+    "operators": "Rms error of models that differ only in their number of play operators.",
+    "loops": "One row of panels for each measured axis, one column for each driven axis. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "Against a reference the true position; of a path its distance first, then what the sensor "
-    "reads of each axis. Against a prediction the sensor's reading. Where one curve would hide others the "
-    "scale is logarithmic; of errors with a sign, beyond the value that the label gives. The worst error in "
-    "the legend is that of the whole run, even if only a part of it is drawn.",
-    "drift": "The mean error of the true position over each measured cycle, of the axis that is driven.",
-    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes are "
-    "what the path is compared with. The legend gives the worst distance of the whole run.",
+    "errors": "Against a reference: the true position, for a path its distance first, then the sensor's "
+    "reading of each axis. Against a prediction: the sensor's reading. Where one curve would hide others, "
+    "the scale is logarithmic; for errors with a sign, beyond the value in the label. The legend gives the "
+    "worst error of the whole run, even if the figure shows a part of it.",
+    "drift": "Mean error of the true position over each measured cycle, for the driven axis.",
+    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes show the reference or "
+    "prediction. The legend gives the worst distance of the whole run.",
 }
 
-IS_TRUE = "True is the actuator's position, without the sensor."
+IS_TRUE = '"True" is the actuator\'s position, without the sensor.'
 READS_TRUTH = "The sensor is ideal: it reads the true position."
 
 MOST_STATEMENTS = 15
@@ -67,12 +66,14 @@ MOST_STATEMENTS = 15
 # What tells the rows of rms.csv apart; each figure of merit says itself what it is.
 KEYS = {
     "compensator": "label of the compensator or model in the scenario; empty if the actuator is alone",
-    "excited_axis": 'axis that was driven, the others being held at zero; "all" if they were driven together',
-    "measured_axis": "axis whose position the row is about",
-    "frequency_hz": "frequency of the signal [Hz], the higher of two; 0 for a signal from a file",
+    "excited_axis": 'driven axis, with the others at zero; "all" if they were driven together',
+    "measured_axis": "axis of the position",
+    "frequency_hz": (
+        "frequency of the signal [Hz], the higher one if it has two; 0 for a signal from a file"
+    ),
     "amplitude_v": "amplitude or radius of the driving voltage [V]",
     "amplitude_um": "amplitude or radius of the reference [um]",
-    "trial": "which trial of a compensator that learns; the first is without learning",
+    "trial": "trial of a compensator that learns; the first is without learning",
 }
 
 
@@ -217,20 +218,20 @@ def figure_of(name: str, report: Report) -> Shown:
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
     banded = [
-        "A line with a band is the median of the drawn actuators, the band 5 to 95 % of them; a thin line is "
+        "A line with a band shows the median and 5 to 95 % of the drawn actuators; a thin line is "
         "the nominal actuator."
     ] * bool(report.bands)
     identified = ["A vertical tick marks the frequency of a model's identification."] * bool(
         identified_at(report)
     )
     remarks = {
-        "loops": ["The wide grey line is the ideal.", _lag(report)] * compared
-        + ["Dark broken lines are the models."] * bool(models and len(models) <= MOST_OVERLAYS),
+        "loops": ["The wide grey line is the ideal response.", _lag(report)] * compared
+        + ["Dark dashes show the models."] * bool(models and len(models) <= MOST_OVERLAYS),
         **dict.fromkeys(("sweep", "sweep_true"), identified + banded),
         "trials_true": banded,
         "trials": banded,
         "path": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
-        + ["Dots are the samples, few a turn; smooth curves join them."] * any(map(_sparse, report.traces)),
+        + ["Dots are samples, few in each turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
     return Shown(stem, TITLES.get(kind, stem), caption)
@@ -248,8 +249,8 @@ def _lag(report: Report) -> str:
         return ""
     opened = math.sin(math.atan(highest / bandwidth))
     return (
-        f"The curves are readings: the lag of the {bandwidth:g} Hz sensor alone opens a straight loop by "
-        f"{percent(opened)} of its height at {highest:g} Hz."
+        f"The curves are sensor readings: the lag of the {bandwidth:g} Hz sensor alone opens a "
+        f"straight line to a loop, {percent(opened)} of its height wide at {highest:g} Hz."
     )
 
 

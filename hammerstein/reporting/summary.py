@@ -29,7 +29,7 @@ SENSOR_CUT = "the sensor's range cut"  # those of another
 DIVERGES = "does not converge: slopes"  # the same
 FLAGGED = ": flagged by its fit report"  # the same
 ITSELF = ": designed from the simulated actuator itself"  # the same
-GUESSED = "Nobody knows how it moves beyond"  # the same
+GUESSED = "Its motion beyond is unknown"  # the same
 
 Quote = Callable[[str], str]
 
@@ -86,7 +86,7 @@ class Contest:
 
     @classmethod
     def of(cls, report: Report, quote: Quote) -> Contest:
-        """Give the contest of a report."""
+        """Return the contest of a report."""
         said = [text for text in report.statements if DIVERGES in text]
         labels = labels_of(report.rows)
         diverging = {label for label in labels if any(text.startswith(f"{label}: ") for text in said)}
@@ -132,7 +132,7 @@ def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
     metric, words = (
         ("euclidean_max_true_um", "worst distance")
         if path
-        else ("rms_true_um", "rms error, direct transfers,")
+        else ("rms_true_um", "rms error of the true position (direct transfers)")
     )
     direct = {row.place for row in report.rows if is_direct(report, row)}
     told_bands = [band for band in report.bands if band.metric == metric and band.place in direct]
@@ -144,9 +144,8 @@ def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
     if told_bands:
         draws = report.scenario.uncertainty.draws
         yield (
-            f"Over {draws} drawn actuators the {words} of the true position, where it is worst, has the "
-            f"median and the 95 % limit {'; '.join(clauses)}. For the nominal actuator, which none of them "
-            "is:"
+            f"For {draws} random actuators, the {words} has these medians and 95 % limits in the "
+            f"worst case: {'; '.join(clauses)}. For the nominal (undisturbed) actuator:"
         )
 
 
@@ -304,7 +303,7 @@ def _loops(report: Report) -> Iterator[str]:
     inside = by_condition(measured)
     conditions = list(inside)
     if not measured:
-        yield "There is nothing to compare with: the figures show what the sensor reads."
+        yield "There is no reference to compare with: the figures show the sensor's readings."
     for condition in dict.fromkeys([*conditions[:1], *conditions[-1:]]):
         rows = inside[condition]
         texts = [
@@ -345,11 +344,14 @@ def doubts(report: Report) -> list[str]:
 def _conduct(report: Report) -> Iterator[str]:
     """Whether the drive's range was enough, and whether what repeats had settled."""
     if any(ITSELF in text for text in report.statements):
-        yield "A law made from the simulated actuator itself knows it better than anyone knows a real one."
+        yield (
+            "A law designed from the simulated actuator itself has a perfect model, which no real "
+            "actuator offers."
+        )
     if flagged := [text.partition(FLAGGED)[0] for text in report.statements if FLAGGED in text]:
         yield f"Flagged by {'its' if len(flagged) == 1 else 'their'} fit report: {', '.join(flagged)}."
     if any(GUESSED in text for text in report.statements):
-        yield "The voltages leave those of the simulated actuator's records: how it moves there is a guess."
+        yield "The voltages exceed the records of the simulated actuator: its motion there is extrapolated."
     compared = report.scenario.reference is not None  # each compensator is a run, models share theirs
     runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
     cut = sum(bool(row.saturated_samples) for row in runs.values())

@@ -71,7 +71,7 @@ def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
     if len(frequencies) <= most:
         return list(report.rows), ""
     kept = selected_frequencies(frequencies, identified_at(report).values(), most)
-    remark = Markdown("Shown are {} of {} frequencies; all are in `rms.csv`.").format(
+    remark = Markdown("This table shows {} of {} frequencies; `rms.csv` has all.").format(
         len(kept), len(frequencies)
     )
     return [row for row in report.rows if row.frequency_hz in kept], remark
@@ -173,8 +173,9 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
         lines.append((*_key_cells(rows, label, condition), *cells))
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
     title = (
-        f"Spread over the drawn actuators: {words} of the true position, median (5 to 95 % of {draws} draws, "
-        f"which hold at least {100.0 * share_held(draws):.0f} % of such actuators with 95 % confidence) [um]"
+        f"Spread over the drawn actuators: {words} of the true position, median (5 to 95 % of {draws} "
+        f"draws, which contain at least {100.0 * share_held(draws):.0f} % of such actuators with 95 % "
+        "confidence) [um]"
     )
     return NumberTable(title, (*_key_header(report, rows), *names), tuple(lines), remark)
 
@@ -193,8 +194,8 @@ def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTa
             key = _key_cells(rows, row.compensator, Condition.of(row))
             lines.append((*key, transfer, *(_index(one) for one in found)))
     title = (
-        f"What the spread is due to: part of the variance of the {words} of the true position, each "
-        "parameter with all that it does together with others (95 % limits)"
+        f"Causes of the spread: share of the variance of the {words} of the true position, for each "
+        "parameter with its interactions (95 % limits)"
     )
     header = (*_key_header(report, rows), "transfer", *parameters)
     return NumberTable(title, header, tuple(lines), remark)

@@ -56,7 +56,7 @@ class Cluster(Executor):
         self._expected = tuple(computes_with().items())
         self.workers = self._threads()
         if not self.workers:
-            self._tell("no worker is there yet; waiting for one")
+            self._tell("no worker is connected yet; waiting for one")
             client.wait_for_workers(1)
             self.workers = self._threads()
         self.elsewhere = self._processors_elsewhere()
@@ -109,15 +109,14 @@ class Cluster(Executor):
             return self._lost()
         if isinstance(error, KilledWorker):
             return LostProcessError(
-                f"{error.allowed_failures + 1} workers died with the same task. The system ends a process "
-                "when the memory is full: give the workers more, or less at once"
+                f"{error.allowed_failures + 1} workers died with the same task. The system ends a "
+                "process if the memory is full: use workers with more memory, or smaller runs"
             )
         return error
 
     def _lost(self) -> LostProcessError:
         return LostProcessError(
-            f"the scheduler at {self.address} is lost; what was finished is kept, and the same command goes "
-            "on from there"
+            f"the scheduler at {self.address} is lost; finished work is kept, and the same command continues"
         )
 
     def _tell(self, what: str) -> None:
@@ -140,8 +139,8 @@ class Cluster(Executor):
         others = sorted({*found.values()} - {processor()})
         if others:
             self._tell(
-                "the workers have another type of processor than this machine; the last digits may differ, "
-                "and their results are kept apart"
+                "the workers have another type of processor than this machine; the last digits may "
+                "differ, and their results are cached separately"
             )
         return digest_of(others) if others else ""
 
@@ -189,13 +188,13 @@ def _refuse_unreachable(address: str) -> None:
         kind = asyncio.run(asyncio.wait_for(_identity(address), 2.0 * PATIENCE_S)).get("type")
         reason = "" if kind == "Scheduler" else f"it is a {kind}"
     except Exception as error:
-        reason = str(error) or "it is mute"
+        reason = str(error) or "it does not answer"
     if reason:
         raise InputError(
             OPTION,
-            f"{address}: no Dask scheduler answers ({reason}). Is it running, and is this its address, such "
-            "as tcp://10.0.0.1:8786? With TLS it begins with tls://, and Dask's configuration names the "
-            "certificates",
+            f"{address}: no Dask scheduler answers ({reason}). Is it running, and is this its "
+            "address, such as tcp://10.0.0.1:8786? With TLS it begins with tls://, and Dask's "
+            "configuration names the certificates",
         )
 
 
@@ -222,8 +221,8 @@ def _prepared(expected: tuple[tuple[str, str], ...]) -> str:
     if unlike:
         raise InputError(
             OPTION,
-            f"the numbers of a worker would not be those of this machine ({socket.gethostname()}): "
-            f"{', '.join(unlike)}. Install the same on both",
+            "the results of a worker would differ from those of this machine "
+            f"({socket.gethostname()}): {', '.join(unlike)}. Install the same versions on both",
         )
     import numpy  # noqa: F401  # each brings a library of its own, and only what is loaded is limited
     import scipy.linalg  # noqa: F401

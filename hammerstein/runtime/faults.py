@@ -28,7 +28,7 @@ def as_error(error: Exception) -> HammersteinError:
         reason = (error.strerror or str(error)).lower()
         return InputError(str(error.filename or "file"), f"cannot be used ({reason})")
     if isinstance(error, MemoryError):
-        return SimulationError("the memory ran out; run less at once: fewer cases, shorter runs, or --jobs 1")
+        return SimulationError("out of memory; use fewer cases, shorter runs, or --jobs 1")
     file = _write_details(error)
     sent = f"please send in {file}" if file else "it could not be written to a file"
     what = str(error).partition("\n")[0][:200]

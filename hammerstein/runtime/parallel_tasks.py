@@ -33,7 +33,7 @@ class _Here(Executor):
 
 
 def completed(result: T) -> Future[T]:
-    """Give what is known already the form of a task that is finished."""
+    """Return what is known already the form of a task that is finished."""
     future: Future[T] = Future()
     future.set_result(result)
     return future
@@ -83,7 +83,7 @@ def in_order(
 def spread(
     tasks: Iterable[Task[T]], executor: Executor, ahead: Callable[[], int]
 ) -> Iterator[list[tuple[int, Future[T]]]]:
-    """Give the numbers of tasks and their futures as they are finished; what is left early is cancelled.
+    """Return the numbers of tasks and their futures as they are finished; what is left early is cancelled.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def spread(
 
 
 def _executor(jobs: Jobs) -> AbstractContextManager[Executor]:
-    """Give an executor that is ended with this block, or the one that is given and goes on."""
+    """Return an executor that is ended with this block, or the one that is given and goes on."""
     if isinstance(jobs, Executor):
         return nullcontext(jobs)
     return _Here() if jobs == 1 else Threads(jobs)

@@ -51,9 +51,10 @@ def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
     free = free_bytes()
     if needed > free:
         raise SimulationError(
-            f"a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, and "
-            f"{free / 1e9:.3g} GB are free. Measure fewer cycles, settle for a shorter time, use a longer "
-            "instruments.drive.sample_time_s, or simulate it from Python with simulate_in_blocks."
+            f"a run of {samples:.3g} samples needs about {needed / 1e9:.3g} GB of memory, "
+            f"but {free / 1e9:.3g} GB are free. Measure fewer cycles, settle for a shorter "
+            "time, use a longer instruments.drive.sample_time_s, or simulate it from Python with "
+            "simulate_in_blocks."
         )
 
 

@@ -80,7 +80,7 @@ class Store:
         except FileNotFoundError:
             return None
         except Exception:  # a damaged file raises nearly anything
-            text = f"{path}: what was kept was spoilt and is worked out again"
+            text = f"{path}: this cache entry was damaged and is computed again"
             warnings.warn(text, Notice, stacklevel=2)
             return None
         with contextlib.suppress(OSError):
@@ -108,7 +108,7 @@ class Store:
             self._shrink()
 
     def computed(self, elsewhere: str) -> Store:
-        """Give the same store for what is worked out by other processors; nothing is taken for ours."""
+        """Return the same store for what is worked out by other processors; nothing is taken for ours."""
         return Store(self.folder, self.fresh, self.limit_bytes, elsewhere) if elsewhere else self
 
     def _path(self, key: str) -> Path:
@@ -149,7 +149,7 @@ def key_of(kind: str, content: Any) -> str:
 
 
 def opened(fresh: bool = False) -> tuple[Store | None, str]:
-    """Give the store of this user, and why it is of no use; both are nothing where it was switched off.
+    """Return the store of this user, and why it is of no use; both are nothing where it was switched off.
 
     Parameters
     ----------
@@ -162,7 +162,11 @@ def opened(fresh: bool = False) -> tuple[Store | None, str]:
         return None, ""
     if folder is None:
         switched_off = os.environ.get("HAMMERSTEIN_CACHE") == ""
-        why = "" if switched_off else "no home folder: results are not kept; HAMMERSTEIN_CACHE names a place"
+        why = (
+            ""
+            if switched_off
+            else ("there is no home folder, so results are not cached; set HAMMERSTEIN_CACHE to a folder")
+        )
         return None, why
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -172,7 +176,7 @@ def opened(fresh: bool = False) -> tuple[Store | None, str]:
     if not stat.S_ISDIR(status.st_mode) or not _is_private(status):
         return (
             None,
-            f"{folder}: results are not kept, as others may write there; make it yours (chmod 700)",
+            f"{folder}: results are not cached, because others may write there; make it yours (chmod 700)",
         )
     return Store(folder.absolute(), fresh, limit_bytes), ""
 
@@ -192,7 +196,7 @@ def _limit_bytes() -> float:
 def _useless(folder: Path, error: OSError | InputError) -> str:
     """Say that nothing can be kept, and why."""
     what = reason_of(error) if isinstance(error, OSError) else error.mistakes[0].what.partition(";")[0]
-    return f"{folder}: results are not kept ({what}); the run goes on without"
+    return f"{folder}: results are not cached ({what}); the run continues without"
 
 
 def _is_private(status: os.stat_result) -> bool:
@@ -213,7 +217,7 @@ def _bytes(entry: Kept, key: str) -> bytes:
 def _loaded(path: Path, key: str) -> Kept:
     """Entry of a file; an error of any kind where it is not what was written under this key."""
     if not stat.S_ISREG(path.lstat().st_mode):
-        raise ValueError("no ordinary file")
+        raise ValueError("no regular file")
     with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
         arrays = dict(found)
     own_key, document = json.loads(arrays.pop(HEAD).tobytes())

@@ -29,7 +29,7 @@ PATIENCE_S = 3.0
 """What a process that was asked to end is given before it is killed."""
 TRIES = 2
 """A process may be lost by chance once."""
-WHY_LOST = "The system does so when the memory is full: run fewer side by side (--jobs 1), or less at once."
+WHY_LOST = "The system does this if the memory is full: use fewer parallel runs (--jobs 1), or smaller ones."
 
 
 class _Crew(Executor, ABC):
@@ -150,7 +150,7 @@ class Processes(_Crew):
             try:
                 worker = self._begun(worker)
             except (EOFError, OSError):  # what begins the processes was ended itself; it comes again
-                how = "could not begin"
+                how = "could not start"
                 continue
             if worker is None:
                 break

@@ -25,23 +25,23 @@ from hammerstein.validation import Strict
 
 @dataclass(frozen=True)
 class Judgement(ABC):
-    """What a run says of one thing that was asked, as plain values."""
+    """Result of a run for one expected result, as plain values."""
 
     id: str
 
     @property
     @abstractmethod
     def agrees(self) -> bool:
-        """Whether it is as it was wanted."""
+        """Whether the result agrees with the expected one."""
 
     @property
     def word(self) -> str:
-        """Whether it is, as pages and ``report.json`` say it."""
+        """The verdict in words, for pages and ``report.json``."""
         return "met" if self.agrees else "not met"
 
     @abstractmethod
     def cells(self) -> dict[str, str]:
-        """Its line in a table, by column."""
+        """Cells of its table row, by column."""
 
     @abstractmethod
     def numbers(self) -> Iterator[tuple[Mapping[str, str], Mapping[str, float]]]:
@@ -49,11 +49,11 @@ class Judgement(ABC):
 
     @abstractmethod
     def as_dict(self) -> dict[str, object]:
-        """Give plain JSON."""
+        """Return plain JSON."""
 
 
 class Assessment(Strict, ABC):
-    """A table of a scenario that says what its numbers should be, as a frozen value with a tag ``kind``."""
+    """The expected results of a scenario, as a frozen value with a tag ``kind``."""
 
     kind: str
     title: ClassVar[str] = "Judgements"
@@ -65,27 +65,27 @@ class Assessment(Strict, ABC):
 
     @property
     def runs(self) -> int:
-        """How many times more the scenario is run for it, at most."""
+        """Upper limit of the additional runs of the scenario that it needs."""
         return 0
 
     def names(self) -> tuple[str, ...]:
-        """What it asks, one name each."""
+        """Names of the expected results."""
         return ()
 
     def place(self) -> str:
-        """Where what it asks was printed, such as ``in the data sheet: Fig. 3``; empty if nowhere."""
+        """Place of the expected results in their source, such as ``in the data sheet: Fig. 3``, or empty."""
         return ""
 
     def source(self) -> str:
-        """What it was printed in; empty if nowhere."""
+        """Source of the expected results; empty if there is none."""
         return ""
 
     def actuators(self) -> tuple[str, ...]:
-        """Packaged actuators and model files that it names."""
+        """Packaged actuators and model files that it uses."""
         return ()
 
     def with_actuators(self, resolved: Callable[[str], str]) -> Self:
-        """Give the same with the places of the model files that it names as ``resolved`` says."""
+        """Return the same with the paths of its model files replaced by ``resolved``."""
         return self
 
     @abstractmethod
@@ -105,11 +105,11 @@ class Assessment(Strict, ABC):
 
     @abstractmethod
     def judgement_of(self, content: Mapping[str, Any]) -> Judgement:
-        """A judgement from the fields that were kept of it."""
+        """Judgement from its stored fields."""
 
     @classmethod
     def tally(cls, reports: Sequence[Any]) -> list[str]:
-        """What was found over several reports, a line each: here how many judgements agree."""
+        """Summary over several reports, one line each: by default, how many judgements agree."""
         judged = [judgement for report in reports for judgement in report.judgements]
         return [f"{sum(judgement.agrees for judgement in judged)} of {len(judged)} met"]
 

@@ -44,22 +44,16 @@ class Sweep(Strict):
     """
 
     combine: Literal["product", "zip"] | None = Field(
-        default=None, description="every combination of the values of several keys, or one after the other"
+        default=None, description="every combination of the values of several keys, or the values in step"
     )
 
     frequency_hz: Frequencies | None = Field(
-        default=None, description="frequencies, each in place of the signal's"
+        default=None, description="frequencies that replace the signal's"
     )
-    amplitude_um: Sizes | None = Field(
-        default=None, description="amplitudes of a reference, each in place of its own"
-    )
-    amplitude_v: Sizes | None = Field(
-        default=None, description="amplitudes of a drive, each in place of its own"
-    )
-    radius_um: Sizes | None = Field(
-        default=None, description="radii of a reference, each in place of its own"
-    )
-    trial: Trials | None = Field(default=None, description="trials of compensators that learn, from 1 on")
+    amplitude_um: Sizes | None = Field(default=None, description="amplitudes that replace the reference's")
+    amplitude_v: Sizes | None = Field(default=None, description="amplitudes that replace the drive's")
+    radius_um: Sizes | None = Field(default=None, description="radii that replace the signal's")
+    trial: Trials | None = Field(default=None, description="trials of compensators that learn, from 1")
 
     def values(self) -> list[tuple[str, tuple[float, ...]]]:
         """Keys that are swept, with their values."""
@@ -103,10 +97,10 @@ class Measure(Strict):
     """How long to wait and how long to measure."""
 
     settle_cycles: NoCycles = Field(default=2, description="cycles before the measurement")
-    settle_s: Wait = Field(default=0.05, description="time before the measurement, at least")
-    measured_cycles: Cycles = Field(default=2, description="cycles that are measured")
+    settle_s: Wait = Field(default=0.05, description="shortest time before the measurement")
+    measured_cycles: Cycles = Field(default=2, description="measured cycles")
     record_every: Cycles | None = Field(
-        default=None, description="samples of which one is recorded, so that a long run fits the memory"
+        default=None, description="record one of so many samples, so that a long run fits into memory"
     )
 
 
@@ -114,48 +108,46 @@ class Tolerance(Strict):
     """How far a number may move from its baseline: the larger of the two counts."""
 
     relative: Tolerated = Field(
-        default=1e-3, description="part of the accepted number by which a new one may differ"
+        default=1e-3, description="allowed relative difference from the accepted number"
     )
-    absolute: Tolerated = Field(default=1e-6, description="difference that is allowed in any case")
+    absolute: Tolerated = Field(default=1e-6, description="difference that is always allowed")
 
 
 class Scenario(Strict):
-    """One experiment: an actuator, a signal, and what is compared."""
+    """One experiment: an actuator, a signal, and compensators or models to compare."""
 
     model_config = ConfigDict(ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)] = Field(
-        description="what is asked: the title of the report"
+        description="question of the scenario: the title of the report"
     )
     actuator: FileName = Field(default=DEFAULT, description="packaged actuator or model file")
-    seed: Seed = Field(default=1, description="of the sensor's noise")
+    seed: Seed = Field(default=1, description="seed of the sensor's noise")
     instruments: Instruments = Field(
-        default=Instruments(), description="what is given here replaces the actuator's own"
+        default=Instruments(), description="differences from the actuator's own converter and sensor"
     )
     reference: Reference | None = Field(default=None, description="path to follow, in um")
     drive: Excitation | None = Field(default=None, description="voltage to apply, in V")
-    sweep: Sweep = Field(
-        default=Sweep(), description="values that take the place of one of the signal; each is a run"
-    )
-    measure: Measure = Field(default=Measure(), description="how long is waited and measured")
+    sweep: Sweep = Field(default=Sweep(), description="values that replace one of the signal; each is a run")
+    measure: Measure = Field(default=Measure(), description="settling and measured cycles")
     compensators: tuple[Tested, ...] = Field(
-        default=(), description="laws that follow the reference, each a run"
+        default=(), description="laws that follow the reference; each is a run"
     )
     models: tuple[ModelSource, ...] = Field(
-        default=(), description="models whose prediction of the drive is compared"
+        default=(), description="models whose predictions of the drive are compared"
     )
-    uncertainty: Uncertainty | None = Field(default=None, description="repeat the run on drawn actuators")
+    uncertainty: Uncertainty | None = Field(default=None, description="repeat the run for random actuators")
     study: Study | None = Field(
         default=None, description="other values of any numeric key, for hammerstein sweep"
     )
     answered_by: MetricName | None = Field(
-        default=None, description="figure of merit that answers the question; it is said and drawn first"
+        default=None, description="figure of merit that answers the question; the report starts with it"
     )
     tolerances: dict[NumberName, Tolerance] = Field(
-        default_factory=dict, description="how far numbers may move before a check complains, by their names"
+        default_factory=dict, description="tolerance of each number in a check, by name"
     )
     assessment: Annotated[Assessment, ASSESSMENTS.field()] | None = Field(
-        default=None, description="what its numbers should be; each kind plugs in"
+        default=None, description="expected results; each kind is a plug-in"
     )
 
     @model_validator(mode="after")
@@ -171,18 +163,18 @@ class Scenario(Strict):
         if self.reference is not None and not self.compensators:
             yield "a reference needs at least one [[compensators]]"
         if self.reference is not None and self.models:
-            yield "[[models]] are compared under a [drive] in V, not under a [reference]"
+            yield "[[models]] need a [drive] in V, not a [reference]"
         if self.drive is not None and self.compensators:
             yield "[[compensators]] need a [reference] in um, not a [drive] in V"
         labels = [source.label for source in (*self.compensators, *self.models)]
         for label in sorted({label for label in labels if labels.count(label) > 1}):
-            yield f"the label {label!r} is used twice; every label must differ"
+            yield f"the label {label!r} is used twice; every label must be different"
         yield from self._never_tested()
         signal = self.reference or self.drive
         lengths = {key: len(values) for key, values in self.sweep.values()}
         if self.sweep.is_zip and len(set(lengths.values())) != 1:
             told = ", ".join(f"{key} {length}" for key, length in lengths.items()) or "no key has any"
-            yield f'sweep.combine = "zip" wants as many values of each key: {told}'
+            yield f'sweep.combine = "zip" needs equally many values of each key: {told}'
         for key in lengths:
             if key in OF_COMPENSATORS:
                 without = [c.label for c in self.compensators if key not in type(c).model_fields]
@@ -202,7 +194,7 @@ class Scenario(Strict):
                 else table in ("reference", "drive")
             )
             if of_this and own in dict(self.sweep.values()):
-                yield f"study.values: {key} is swept already by sweep.{own}; leave it out of one of them"
+                yield f"study.values: {key} is also swept by sweep.{own}; remove it from one of them"
 
     def _never_tested(self) -> Iterator[str]:
         """A compensator or model for frequencies that the scenario does not have is a mistake."""
@@ -218,8 +210,8 @@ class Scenario(Strict):
                 if missed:
                     have = ", ".join(f"{f:g}" for f in sorted(known)) or "none, as its signal is a file"
                     yield (
-                        f"{table}[{i}].only_at_hz: there is no run at {', '.join(missed)} Hz, where "
-                        f"{source.label!r} should be tested; the frequencies of this scenario are {have}"
+                        f"{table}[{i}].only_at_hz: there is no run at {', '.join(missed)} Hz for "
+                        f"{source.label!r}; the frequencies of this scenario are {have}"
                     )
 
     @property
@@ -258,7 +250,7 @@ class Scenario(Strict):
         return {key: _without_folders(value, key) for key, value in content.items()}
 
     def metrics(self) -> list[Metric]:
-        """What a run measures: the figures of merit of every run, and those that its assessment asks for."""
+        """Figures of merit of a run: those of every run, and those of its assessment."""
         return metrics_of("" if self.assessment is None else self.assessment.kind)
 
     def _files(self) -> list[Path]:
@@ -280,7 +272,7 @@ class Scenario(Strict):
         return [self.portable(), [digest_of_file(path) for path in self.files()]]
 
     def digest(self) -> str:
-        """Short hash of everything in the scenario that changes its numbers, what its files hold included."""
+        """Short hash of everything that affects the scenario's numbers, with the content of its files."""
         content = {key: value for key, value in self.portable().items() if key not in WORDS}
         content |= {path.name: digest_of_file(path) for path in self._files()}
         return digest_of(content)[:16]
@@ -341,7 +333,7 @@ def load_scenario(path: str | Path) -> Scenario:
 
     Paths of model and CSV files in it are relative to its folder.
 
-    Raises InputError with every mistake in the file, each with its key, and the nearest known name.
+    Raises InputError with every mistake in the file, each with its key and the nearest known name.
     """
     load_plugins()
     path = Path(path)
@@ -375,9 +367,9 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
     except RecursionError:
-        what = "has lists or tables too deep within each other; is it the right file?"
+        what = "has too deeply nested lists or tables; is it the right file?"
     except ValueError as error:  # a whole number of thousands of digits
-        what = f"holds a number that cannot be read ({str(error).partition(';')[0].lower()})"
+        what = f"contains a number that cannot be read ({str(error).partition(';')[0].lower()})"
     raise InputError(str(path), what)
 
 

@@ -37,20 +37,19 @@ class ClosedFormSpec(Strict):
     """Identify the static block by the paper's closed form, one input driven at a time (section 3.3)."""
 
     method: Literal["closed_form"] = "closed_form"
-    frequency_hz: Frequency = Field(default=50.0, description="frequency of the sine that is recorded")
+    frequency_hz: Frequency = Field(default=50.0, description="frequency of the recorded sine")
     amplitude_v: Size | None = Field(
-        default=None, description="about the middle of the actuator's range; all of that if not given"
+        default=None,
+        description="amplitude about the middle of the actuator's range; the whole range if omitted",
     )
     waveform: Literal["sine", "triangle"] | None = Field(
-        default=None, description="what drives the input: a sine if not given"
+        default=None, description="drive of the input; a sine if omitted"
     )
     operators: Operators = Field(default=15, description="plays of each pair of axes")
     settle_cycles: Cycles = Field(default=5, description="cycles before the record")
-    measured_cycles: Cycles = Field(
-        default=10, description="cycles of the record, of which the mean is taken"
-    )
+    measured_cycles: Cycles = Field(default=10, description="recorded cycles, whose mean is used")
     sample_time_s: SampleTime | None = Field(
-        default=None, description="sample time of this experiment, where it is not that of the run"
+        default=None, description="sample time of this experiment, if it differs from that of the run"
     )
 
     @property
@@ -69,34 +68,34 @@ class JointFitSpec(Strict):
 
     method: Literal["hammerstein"]
     amplitude_v: Size | None = Field(
-        default=None, description="about the middle of the actuator's range; all of that if not given"
+        default=None,
+        description="amplitude about the middle of the actuator's range; the whole range if omitted",
     )
     operators: Operators | Literal["auto"] = Field(
-        default=15, description="plays of each pair of axes, or what the records call for"
+        default=15, description="plays of each pair of axes, or auto: by cross-validation"
     )
     partition: Partition = Field(
-        default="time", description="how thresholds are placed, or fitted, see the guide of identify"
+        default="time", description="placement of thresholds, as in the guide of identify"
     )
-    frequencies_hz: Frequencies = Field(
-        default=(50.0,), description="frequencies of the sines that are recorded"
-    )
-    record_s: Length = Field(default=0.1, description="length of each sine, and of the multisine")
+    frequencies_hz: Frequencies = Field(default=(50.0,), description="frequencies of the recorded sines")
+    record_s: Length = Field(default=0.1, description="duration of each sine and of the multisine")
     sample_time_s: SampleTime | None = Field(
-        default=None, description="sample time of this experiment, where it is not that of the run"
+        default=None, description="sample time of this experiment, if it differs from that of the run"
     )
     hysteresis: Annotated[str, AfterValidator(known_kind)] | None = Field(
         default=None,
-        description="kind of the static block: asymmetric adds dead-zones, rate_dependent lets thresholds "
-        "grow with the rate, bouc_wen has none; plays if not given",
+        description="kind of hysteresis: asymmetric adds dead-zones, in rate_dependent thresholds "
+        "grow with the rate, bouc_wen has no thresholds; plays if omitted",
     )
     dead_zones: DeadZoneCount | None = Field(
-        default=None, description="of each input, with hysteresis asymmetric; found if not given"
+        default=None,
+        description="dead-zones of each input, with hysteresis asymmetric; searched if omitted",
     )
     dynamics: DynamicsKind | None = Field(
-        default=None, description="linear block of each axis; second_order, a resonance, if not given"
+        default=None, description="linear block of each axis; second_order, a resonance, if omitted"
     )
-    creep_modes: Modes = Field(default=0, description="slow modes of each axis, from a record of their own")
-    creep_record_s: Length = Field(default=600.0, description="length of the slow record")
+    creep_modes: Modes = Field(default=0, description="slow modes of each axis, from a separate record")
+    creep_record_s: Length = Field(default=600.0, description="duration of the slow record")
 
     def settings(self) -> Settings:
         """The options of ``identify``: each has the name and the meaning that it has there.
@@ -145,11 +144,11 @@ class ModelSource(Strict):
         description="name in tables and figures"
     )
     identification: IdentificationSpec | None = Field(
-        default=None, description="experiment that a model is identified with, if no model is given"
+        default=None, description="experiment that identifies the model, if no model is given"
     )
     model: FileName | None = Field(default=None, description="model file, or name of a packaged actuator")
     only_at_hz: Frequencies | None = Field(
-        default=None, description="frequencies of the sweep at which it is tested; all if not given"
+        default=None, description="frequencies of the sweep at which it is tested; all if omitted"
     )
 
     def is_tested_at(self, frequency_hz: float) -> bool:

@@ -28,14 +28,15 @@ class Study(Strict):
 
     how: Literal["product", "zip", "random", "sobol"] = Field(
         default="product",
-        description="every combination of the values, the first ones together and so on, or samples",
+        description="every combination of the values, the values in step, or random samples",
     )
     samples: Draws | None = Field(
-        default=None, description="of random and sobol; of the latter a power of two"
+        default=None, description="number of samples for random and sobol; for sobol a power of two"
     )
-    seed: Seed = Field(default=1, description="of the samples")
+    seed: Seed = Field(default=1, description="seed of the samples")
     values: dict[str, Values] = Field(
-        min_length=1, description='by key, such as "compensators[1].gain"; its two limits for samples'
+        min_length=1,
+        description=('values by key, such as "compensators[1].gain"; for samples, the two limits'),
     )
 
     @model_validator(mode="after")
@@ -47,15 +48,15 @@ class Study(Strict):
             if bad := [
                 key for key, values in self.values.items() if len(values) != 2 or values[0] >= values[1]
             ]:
-                raise ValueError(f"{bad[0]} needs its two limits, the lower one first")
+                raise ValueError(f"{bad[0]} needs two limits, the lower one first")
             if self.how == "sobol" and self.samples & (self.samples - 1):
                 near = 2 ** round(math.log2(self.samples))
                 raise ValueError(f"samples must be a power of two for sobol; {near} is near")
         elif self.samples is not None:
-            raise ValueError(f"samples are those of random and sobol, not of {self.how}")
+            raise ValueError(f"samples belongs to random and sobol, not to {self.how}")
         elif self.how == "zip" and len(set(lengths.values())) != 1:
             told = ", ".join(f"{key} {length}" for key, length in lengths.items())
-            raise ValueError(f"zip wants as many values of each key: {told}")
+            raise ValueError(f"zip needs equally many values of each key: {told}")
         return self
 
     def count(self) -> int:

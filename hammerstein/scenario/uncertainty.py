@@ -52,11 +52,14 @@ class Uncertainty(Strict):
     together, with the factor of their joint covariance: thresholds, axes, and the weights that follow them.
     """
 
-    draws: Draws = Field(default=50, description="actuators that are drawn")
-    seed: Seed = Field(default=1, description="of the draws")
+    draws: Draws = Field(default=50, description="number of random actuators")
+    seed: Seed = Field(default=1, description="seed of the draws")
     weights: Deviation | Literal["standard_errors"] = Field(
         default=0.0,
-        description='relative, or "standard_errors": all parameters by the covariance in the model file',
+        description=(
+            'relative standard deviation of the weights, or "standard_errors": all '
+            "parameters by the covariance in the model file"
+        ),
     )
     resonance: Deviation = Field(default=0.0, description="relative standard deviation of the resonances")
     damping: Deviation = Field(default=0.0, description="relative standard deviation of the damping ratios")
@@ -64,7 +67,7 @@ class Uncertainty(Strict):
     noise: Deviation = Field(default=0.0, description="relative standard deviation of the sensor's noise")
     sensitivity: BaseSamples | None = Field(
         default=None,
-        description="base samples, a power of two, of the search for the parameters that cost most",
+        description="base samples, a power of two, for the sensitivity of each parameter",
     )
 
     @field_validator("sensitivity")
@@ -158,7 +161,7 @@ def _weights_drawn(model: HammersteinModel, relative: float | str, generator: No
     if hysteresis.weight_covariance is None:
         raise InputError(
             "uncertainty.weights",
-            "the actuator's model does not say how the errors of its weights hang together; identify it "
-            "again, or give a relative deviation",
+            "the actuator's model does not state the covariance of its weights; identify it again, "
+            "or give a relative deviation",
         )
     return model.drawn(generator)

@@ -57,8 +57,8 @@ class Shape(Strict, ABC):
     smooth_start_s: Wait = Field(default=0.0, description="time in which the signal grows from zero")
     offset: Offset | tuple[Offset, ...] | None = Field(
         default=None,
-        description="middle of the signal, one number or one an axis; a voltage lies about the actuator's "
-        "working point if it is not given",
+        description="centre of the signal, one number or one for each axis; for a voltage, the "
+        "actuator's working point if omitted",
     )
 
     def sample(self, time_s: Array, n_axes: int, rest: ArrayLike = 0.0) -> Array:
@@ -155,7 +155,7 @@ class OnAxes(OneFrequency, ABC):
     axis: Axes | Literal["each", "all"] = Field(
         default="each", description='number of the axis from 1, "each" in turn, or "all" together'
     )
-    amplitude: Size = Field(description="half of the way from end to end, in the unit of the key")
+    amplitude: Size = Field(description="half of the peak-to-peak value, in the unit of the key")
     phase_deg: Phase = Field(default=0.0, description="phase at time 0, in degrees")
 
     @abstractmethod
@@ -203,7 +203,7 @@ class Degauss(OnAxes):
 
     kind: Literal["degauss"] = "degauss"
     cycles: Cycles = Field(
-        default=20, description="periods in which the amplitude falls to zero, after a first one"
+        default=20, description="periods in which the amplitude falls to zero, after a first period"
     )
 
     def _wave(self, cycles: Array) -> Array:
@@ -228,7 +228,7 @@ class Circle(OneFrequency):
 
     kind: Literal["circle"] = "circle"
     radius: Size = Field(description="radius, in the unit of the key")
-    phase_deg: Phase = Field(default=0.0, description="where it begins, in degrees from the first axis")
+    phase_deg: Phase = Field(default=0.0, description="phase at time 0, in degrees from the first axis")
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "circle")
@@ -236,7 +236,7 @@ class Circle(OneFrequency):
 
 
 class Spiral(OneFrequency):
-    """A circle until the trigger, then one whose radius decays as exp(-t / tau) (paper, section 5.4)."""
+    """Circle until the trigger; then its radius decays as exp(-t / tau) (paper, section 5.4)."""
 
     pointwise: ClassVar[bool] = True
 
@@ -244,7 +244,7 @@ class Spiral(OneFrequency):
     radius: Size = Field(description="radius before the decay, in the unit of the key")
     trigger_s: Wait = Field(description="time at which the decay starts")
     decay_s: Length = Field(description="time constant of the decay")
-    phase_deg: Phase = Field(default=0.0, description="where it begins, in degrees from the first axis")
+    phase_deg: Phase = Field(default=0.0, description="phase at time 0, in degrees from the first axis")
 
     def _values(self, time_s: Array, n_axes: int) -> Array:
         _require_two_axes(n_axes, "spiral")
@@ -298,17 +298,17 @@ class Lissajous(Shape):
 
 
 class Multisine(Shape):
-    """Sum of equal sines on a grid of lines with random phases from a seed, another one on each axis.
+    """Sum of equal sines on a grid of lines, with random phases from a seed that differ between axes.
 
-    The rms of each axis is ``amplitude`` / 3, so that peaks seldom pass the amplitude; larger ones are
-    scaled down to it.
+    The rms of each axis is ``amplitude`` / 3, so peaks seldom exceed the amplitude; a signal with larger
+    peaks is scaled down to it.
     """
 
     kind: Literal["multisine"] = "multisine"
     amplitude: Size = Field(description="largest value, three times the rms, in the unit of the key")
     lowest_hz: Frequency = Field(description="lowest line and distance of the lines, in Hz")
-    highest_hz: Frequency = Field(description="highest line in Hz, at the most")
-    seed: Seed = Field(default=0, description="of the random phases")
+    highest_hz: Frequency = Field(description="upper limit of the lines in Hz")
+    seed: Seed = Field(default=0, description="seed of the random phases")
 
     @model_validator(mode="after")
     def _band_is_ordered(self) -> Self:
@@ -316,7 +316,7 @@ class Multisine(Shape):
             raise ValueError("highest_hz must be above lowest_hz")
         if self.highest_hz / self.lowest_hz > MOST_LINES:
             raise ValueError(
-                f"highest_hz must be at most {MOST_LINES} times lowest_hz, the distance of its lines"
+                f"highest_hz must be at most {MOST_LINES} times lowest_hz, the spacing of its lines"
             )
         return self
 
@@ -361,13 +361,13 @@ def _sum_of_sines(time_s: Array, lines_hz: Array, phases: Array) -> Array:
 
 
 class FromFile(Shape):
-    """Values from a CSV file: one column named ``time_s``, then one column an axis.
+    """Values from a CSV file: one column named ``time_s``, then one column for each axis.
 
-    Between its rows the signal is interpolated linearly, after the last row it holds its value.
+    The signal is interpolated linearly between rows and constant after the last row.
     """
 
     kind: Literal["file"] = "file"
-    path: FileName = Field(description="CSV file: time_s and one column an axis, in its order")
+    path: FileName = Field(description="CSV file: time_s and one column for each axis, in their order")
     scale: Scale = Field(default=1.0, description="factor for all values of the file")
 
     def middle(self, n_axes: int, rest: Array) -> Array:
@@ -377,7 +377,9 @@ class FromFile(Shape):
     def _values(self, time_s: Array, n_axes: int) -> Array:
         times, values, _ = self.table()
         if len(values) != n_axes:
-            raise InputError(self.path, f"has {len(values)} axes beside time_s, the actuator has {n_axes}")
+            raise InputError(
+                self.path, f"has {len(values)} axes beside time_s, but the actuator has {n_axes}"
+            )
         return self.scale * np.stack([np.interp(time_s, times, axis) for axis in values])
 
     def table(self) -> tuple[Array, Array, list[str]]:
@@ -395,7 +397,7 @@ class FromFile(Shape):
 
     @property
     def smooth(self) -> bool:
-        """Nobody knows what is between its rows."""
+        """Not known between its rows."""
         return False
 
     @property
@@ -412,7 +414,7 @@ class FromFile(Shape):
 
 def _require_two_axes(n_axes: int, kind: str) -> None:
     if n_axes != 2:
-        raise InputError("reference", f"a {kind} needs two axes, the actuator has {n_axes}")
+        raise InputError("reference", f"a {kind} needs two axes, but the actuator has {n_axes}")
 
 
 SIGNALS: Family[Shape] = Family(Shape, "kind")  # type: ignore[type-abstract]  # its kinds are concrete

@@ -1,4 +1,4 @@
-"""Text tables of times and one column an axis: voltages to play, paths to follow."""
+"""Text tables of times and one column for each axis: voltages to play, paths to follow."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
             first = next((line.strip() for line in file if line.strip() and not line.startswith("#")), "")
         raise InputError(
             str(path),
-            "needs a header with a column time_s (or t [ms], say) and one column for each axis; its first "
-            f"line is {first[:SHOWN]!r}",
+            "needs a header with a column time_s (or for example t [ms]) and one column for each "
+            f"axis; its first line is {first[:SHOWN]!r}",
         )
     values, rows, mistakes = read_text(path, layout, range(layout.width), names)
     if mistakes:
@@ -56,7 +56,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     if len(bad):
         row, column = (int(i) for i in bad[0])
         place = where(names[column], rows, row, row)
-        raise InputError(str(path), [Mistake(place, "holds no finite number within 1e9")])
+        raise InputError(str(path), [Mistake(place, "has no finite number within 1e9")])
     at = names.index(time)
     times, values = _factor(time) * values[at], np.delete(values, at, axis=0)
     if len(times) < 2:
@@ -74,7 +74,7 @@ def _refuse_large(path: Path) -> None:
     refuse_size(path, "CSV file", LARGEST_BYTES)
     needed, free = MEMORY_SHARE * path.stat().st_size, free_bytes()
     if needed > free:
-        what = f"takes about {size(needed)} of memory to read, and {size(free)} are free; cut it into parts"
+        what = f"takes about {size(needed)} of memory to read, but {size(free)} are free; cut it into parts"
         raise InputError(str(path), what)
 
 
@@ -113,7 +113,7 @@ def chosen(path: str | Path, names: Sequence[str], axes: Sequence[str], kind: Ki
             raise InputError(str(path), what)
         found = list(range(len(names)))
         pairs = ", ".join(f"{name} for {axis}" for name, axis in zip(names, axes, strict=True))
-        warnings.warn(f"{path}: its columns are taken in their order: {pairs}", Notice, stacklevel=2)
+        warnings.warn(f"{path}: columns are assigned in their order: {pairs}", Notice, stacklevel=2)
     for name in (names[i] for i in found):
         unit = _unit(name)
         if unit is not None and unit.kind != kind:

@@ -125,15 +125,17 @@ def _packed(path: Path) -> str:
                 if not file.read(HEAD_BYTES):
                     break
     except (OSError, EOFError, zlib.error):
-        return "is packed with gzip and was cut short or damaged; copy it again, then unpack it (gunzip)"
-    return "is packed with gzip; unpack it first (gunzip)"
+        return (
+            "is compressed with gzip and was cut short or damaged; copy it again, then decompress it (gunzip)"
+        )
+    return "is compressed with gzip; decompress it first (gunzip)"
 
 
 def _without_numbers(body: Sequence[str], lines: Sequence[str]) -> str:
     """What to say of a text whose first lines hold no numbers: a lone header is the usual case."""
     if len(body) == 1:
-        return f"holds one line and no numbers below it: {body[0].strip()[:80]}; export the samples, too"
-    return f"holds no line of numbers among its first {len(lines)} lines"
+        return f"has one line and no numbers below it: {body[0].strip()[:80]}; export the samples, too"
+    return f"has no line of numbers among its first {len(lines)} lines"
 
 
 def _encoding(head: bytes) -> str:
@@ -302,7 +304,8 @@ def read_text(
     frame = _frame(path, layout, sorted(set(indices)), skipped)
     if len(frame) != len(lines):
         raise InputError(
-            str(path), f"{len(lines)} lines of numbers hold {len(frame)} rows: is a quotation mark left open?"
+            str(path),
+            f"{len(lines)} lines of numbers hold {len(frame)} rows: is there an unclosed quotation mark?",
         )
     columns, spoiled = zip(*(_numbers(frame[index], layout.dialect) for index in indices), strict=True)
     values = np.vstack(columns)
@@ -370,9 +373,12 @@ def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> Flags:
 def _text_mistakes(name: str, texts: dict[int, str], rows: Indices) -> list[Mistake]:
     if len(texts) == len(rows):
         example = next(iter(texts.values()))[:40]
-        told = f"{example!r} and so on is text in every row; name another column, or --rate instead of dates"
+        told = (
+            f"{example!r} and others: this column has text in every row; name another column, or "
+            "use --rate instead of dates"
+        )
         return [Mistake(where(name), told)]
-    what = "is text in a column of numbers; mend or delete the row"
+    what = "is text in a column of numbers; correct or delete the row"
     shown = list(texts.items())[:SHOWN]
     mistakes = [Mistake(where(name, rows, k, k), f"{text[:40]!r} {what}") for k, text in shown]
     return mistakes + not_listed(where(name), len(texts), "fields with text further down")
@@ -389,7 +395,7 @@ def _scan(path: Path, layout: Layout) -> tuple[Indices, list[int], list[Mistake]
             elif _count(line, layout) > layout.width:
                 long.append(row)
     rows = np.delete(np.arange(layout.first + 1, row + 1), np.array(skipped, dtype=np.int64) - layout.first)
-    what = f"has more columns than the others, which have {layout.width}; mend its separators"
+    what = f"has more columns than the others, which have {layout.width}; correct its separators"
     mistakes = [Mistake(f"row {row}", what) for row in long[:SHOWN]]
     return rows, skipped, mistakes + not_listed("rows", len(long), "rows with too many columns")
 

@@ -178,7 +178,7 @@ def _schema_of(model: type[BaseModel] | TypeAdapter[Any]) -> Schema:
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
-    """Give "; did you mean ...?" with the nearest known name, or nothing."""
+    """Return "; did you mean ...?" with the nearest known name, or nothing."""
     near = difflib.get_close_matches(name, list(names), n=1, cutoff=0.6)
     return f"; did you mean {near[0]}?" if near else ""
 

@@ -187,5 +187,5 @@ def test_a_memory_of_another_version_is_refused_by_name():
     block = PrandtlIshlinskii([[Pair([0.5], [2.0])]])
     kept = block.rest().as_dict()
     del kept["window"]
-    with pytest.raises(InputError, match=r"has no window: .* begin at rest"):
+    with pytest.raises(InputError, match=r"has no window: .* start at rest"):
         block.restore(kept)

@@ -124,7 +124,7 @@ def test_traces_hold_every_wire(folder, kind):
         (("radius_um", "radus_um"), 2, "did you mean radius_um?"),
         (("radius_um = 15", "radius_um = -15"), 2, "must be 1e-6 to 1e6, not -15"),
         (("frequency_hz = 50\n[[", "frequency_hz = 10000\n[["), 2, "half the sample rate"),
-        (("radius_um = 15", "radius_um = 70"), 3, "asks for 70 um"),
+        (("radius_um = 15", "radius_um = 70"), 3, "needs 70 um"),
         (('"inverse_multiplicative"', '"inverse_multiplicative"\ngain = "identity"'), 3, "does not converge"),
         (("frequency_hz = 50 }", "frequency_hz = 900 }"), 4, "too few"),
         (('"duo_bimorph"', '"missing.json"'), 2, "no such file"),
@@ -145,7 +145,7 @@ def test_one_bad_scenario_does_not_stop_the_others(folder, capsys):
     (folder / "scenarios" / "far.toml").write_text(SMALL.replace("radius_um = 15", "radius_um = 70"))
     assert _call("run", "scenarios", "--no-figures", "--jobs", "1") == 3
     assert (folder / "reports" / "small" / "report.json").exists()
-    assert "far: the reference asks for 70 um" in capsys.readouterr().err
+    assert "far: the reference needs 70 um" in capsys.readouterr().err
 
 
 def test_every_file_is_read_before_the_first_is_run(folder, capsys):

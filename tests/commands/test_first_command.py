@@ -42,7 +42,7 @@ def test_the_defaults_find_the_stage(stage, stage_fit):
         allowed = 3.0 * made.noise_um + 0.0005 * np.ptp(held.y_um[o])
         assert fit.validation["hammerstein"].rms_um[o] < allowed
     assert not any(start.first for start in (*fit.starts, *fit.held_starts))
-    assert not fit.verdict.startswith("What the model leaves")
+    assert not fit.verdict.startswith("The prediction error")
 
 
 def test_all_models_that_were_tried_stand_in_the_report(stage_fit):
@@ -63,7 +63,7 @@ def test_falling_amplitudes_on_one_axis_at_a_time_are_told_apart(stage):
 def test_far_more_than_noise_is_said_first(stage):
     _, fitted, held = stage
     _, fit = identify(fitted, plain(operators=3), validation=[held])
-    assert fit.verdict.startswith("What the model leaves of y1")
+    assert fit.verdict.startswith("The prediction error of y1")
     assert "times the noise" in fit.verdict
     assert "Not tried: --dynamics auto; or --operators auto --partition auto" in fit.verdict
 
@@ -151,7 +151,7 @@ def test_a_sure_gain_is_worth_its_parameters_from_two_percent_on(gain, kept):
 def test_the_model_that_is_kept_obeys_the_rule_on_its_page(stage_fit):
     model, fit = stage_fit
     assert (
-        "within 2 % of the least, or within 5 % and one standard error of it"
+        "within 2 % of the lowest, or within 5 % and one standard error of it"
         in fit_page(model, fit).markdown()
     )
     told = [trial for trial in fit.trials if trial.told]

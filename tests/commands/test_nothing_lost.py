@@ -289,7 +289,7 @@ def test_a_page_is_not_replaced_by_one_that_lacks_what_failed(folder, capsys):
     )
     assert call("run", "s", "--page", "site", "--jobs", "1") == 3
     assert contents(folder / "site") == before
-    assert "are not written" in capsys.readouterr().err
+    assert "did not write the overview pages" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -361,7 +361,7 @@ WRITERS = [
     pytest.param(("sweep", "study.toml"), "--out", "sample,voltage,position\n1,2,3\n", id="sweep"),
     pytest.param(("check", "small.toml"), "--junit", '<a name="hammerstein check"/>', id="junit"),
     pytest.param(
-        ("check", "small.toml"), "--markdown", "# Scenarios against their baselines\nmine", id="summary"
+        ("check", "small.toml"), "--markdown", "# Scenarios and their baselines\nmine", id="summary"
     ),
     pytest.param(
         ("check", "small.toml"), "--html", '<meta content="hammerstein check">mine', id="check page"
@@ -458,4 +458,4 @@ def test_files_of_one_command_lie_side_by_side(outputs):
 @pytest.mark.parametrize("name", [".hammerstein.json", "a\nb.csv"])
 def test_a_name_that_no_file_may_have_is_refused(outputs, capsys, name):
     assert call(*COMPENSATE, "--out", name) == 2
-    assert "cannot be the name of the file" in capsys.readouterr().err
+    assert "is not possible as a file name" in capsys.readouterr().err

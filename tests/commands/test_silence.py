@@ -129,7 +129,7 @@ def test_inputs_and_outputs_may_have_other_names(run, tmp_path):
 def test_a_drive_that_the_converter_leaves_still_is_out_of_reach(run, change):
     code, said = run(DRIVE.format(actuator="duo_bimorph").replace("amplitude_v = 10", change))
     assert code == 3
-    assert "the drive stands still at" in said
+    assert "the drive is constant at" in said
     assert "at -0 V" not in said
 
 
@@ -154,7 +154,7 @@ def test_plot_wants_one_scenario(tmp_path, capsys):
     (tmp_path / "a.toml").write_text(DRIVE.format(actuator="duo_bimorph"))
     (tmp_path / "b.toml").write_text(DRIVE.format(actuator="duo_bimorph"))
     assert _call("plot", tmp_path, "--out", tmp_path) == 2
-    assert "is a folder; give the file of one scenario" in capsys.readouterr().err
+    assert "is a folder; give one scenario file" in capsys.readouterr().err
 
 
 def test_a_fault_of_ours_is_one_line_a_code_of_its_own_and_a_file(run, tmp_path, monkeypatch):

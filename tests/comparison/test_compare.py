@@ -78,7 +78,7 @@ def test_each_model_has_its_own_flags() -> None:
     wide = theory.asymmetric([u], [[np.array([0.0, 6.0])]], [[[0.1, 1.0]]], [[[]]], [[[]]], [0.0])
     settings = Settings(thresholds_v=[0.0, 6.0], dynamics="none", delay_samples=0, error_curve=False)
     found = hammerstein.compare([Record([u], wide, T, ("u",), ("x",), "wide.csv")], settings)
-    assert any("is missed by" in flag for flag in found["linear gain"].flags)
+    assert any(flag.startswith("the error of") for flag in found["linear gain"].flags)
     assert found["prandtl_ishlinskii"].flags == ()
 
 
@@ -97,7 +97,7 @@ def test_a_compensator_is_played_on_another_kind_and_leaves_what_theory_says(
 ) -> None:
     for entry in found.entries:
         if entry.name == found.best:
-            assert entry.left.reason == "it stands for the actuator"
+            assert entry.left.reason == "this model replaces the actuator"
             continue
         assert entry.left.percent is not None, entry.left.reason
         assert entry.left.on == found.best  # one and the same, or the figures could not be compared
@@ -247,7 +247,7 @@ def test_the_command_writes_pages_figure_and_numbers(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--validate", "a.csv"), "among the records that are fitted"),
+        (("--validate", "a.csv"), "is also a fitted record"),
         (("--dynamics", "quick"), "--dynamics"),
         (("--operators", "many"), "must be a whole number or auto"),
         (("--out", "a.csv"), "a.csv"),
@@ -277,5 +277,5 @@ def test_a_method_that_only_plays_have_is_a_reason_in_a_row(
 ) -> None:
     assert call("compare", "a.csv", *COLUMNS, *QUICK[2:], "--solver", "closed_form", "--no-figures") == 0
     printed = capsys.readouterr()
-    assert "closed_form cannot be had with hysteresis asymmetric" in " ".join(printed.out.split())
+    assert "closed_form cannot be used with hysteresis asymmetric" in " ".join(printed.out.split())
     assert re.search(r"^comparing every kind of model on \d+ samples", printed.err, re.M)  # nobody watches

@@ -60,7 +60,7 @@ def test_a_start_out_of_the_range_names_its_option(tmp_path, capsys):
     _circle(tmp_path / "path.csv", samples=300)
     path, out = tmp_path / "path.csv", tmp_path / "d.csv"
     assert _call("compensate", "duo_bimorph_static", path, "--out", out, "--start", "50") == 2
-    assert "--start: 50 V of input 1 lies outside" in capsys.readouterr().err
+    assert "--start: 50 V of input 1 is outside" in capsys.readouterr().err
 
 
 def test_summary_is_one_object(tmp_path, capsys):
@@ -182,8 +182,8 @@ def test_a_filter_is_proposed_where_the_path_itself_is_left(tmp_path, capsys, fr
     assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / "drive.csv") == 3
     said = capsys.readouterr().err
     assert ("--filter-hz" in said) == proposed
-    assert ("ask for a smaller or a slower path" in said) != proposed
-    assert "output x is off by up to" in said
+    assert ("use a smaller or slower path" in said) != proposed
+    assert "output x has an error of up to" in said
     assert "output y is off by" not in said
 
 
@@ -227,7 +227,7 @@ def test_a_miss_below_the_models_own_error_is_held_at_the_range(tmp_path, capsys
     x = 40.0 * smooth_step(np.arange(-50, 750) / 700.0) - 0.005
     path = _path(tmp_path, x)
     assert _call("compensate", "stage.json", path, "--law", "exact_inverse") == 0
-    assert "held at the range where the path asks for more" in capsys.readouterr().out
+    assert "stays at the limit of its range where the path needs more" in capsys.readouterr().out
     far = _path(tmp_path, x - 0.5, "far.csv")
     assert _call("compensate", "stage.json", far, "--law", "exact_inverse", "--out", "far_drive.csv") == 3
     assert not (tmp_path / "far_drive.csv").exists()
@@ -249,12 +249,12 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     said = [line for line in lines if not line.startswith("compiling ")]  # on a machine that has not yet
     assert len(said) == 3
     assert "u hits its" in said[0]
-    named = said[1].removeprefix("Remedies, with the error of each: ")
+    named = said[1].removeprefix("Remedies, with the remaining error: ")
     option, error_um = re.match(r"(--lead-in(?: --offset=\S+)?) \((\S+) um\)", named).groups()
     assert ("--offset" in option) == (kind == "below")
     if kind == "below":  # named to those, too, who have led in already
         assert _call("compensate", "stage.json", path, "--lead-in") == 3
-        assert f"error of each: {option} (" in capsys.readouterr().err
+        assert f"remaining error: {option} (" in capsys.readouterr().err
     assert _call("compensate", "stage.json", path, *option.split(), "--json") == 0
     expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
     assert expected["path_um"] == pytest.approx(float(error_um), rel=0.06)

@@ -55,5 +55,5 @@ def test_cross_couplings_stay_as_they_were():
 
 
 def test_a_slope_below_zero_is_refused_with_its_threshold():
-    with pytest.raises(SimulationError, match=r"slope is -0\.5 um/V once 2 operators move \(threshold 1 V\)"):
+    with pytest.raises(SimulationError, match=r"slope is -0\.5 um/V when 2 operators move \(threshold 1 V\)"):
         inverse_pair(Pair([0.0, 1.0], [1.0, -1.5]))

@@ -196,14 +196,14 @@ def compensate(stage, *options, path="path.csv", model="stage.json"):
         (
             ("--range", "100"),
             2,
-            "-100 to 100 V, but u was recorded on one side, from 0 to 100 V; give LOW,HIGH",
+            "-100 to 100 V, but u was recorded on one side only, from 0 to 100 V; give LOW,HIGH",
         ),
         (("--range", "5,5"), 2, "each LOW below its HIGH"),
         (("--range", "0,1,2"), 2, "one pair for each input"),
-        (("--range", "a,b"), 2, "no voltages"),
+        (("--range", "a,b"), 2, "no list of numbers"),
         (("--start", "40,50,60"), 2, "names 3 voltages; the model has 2 inputs"),
-        (("--start", "-30"), 2, "lies outside the range, 0 to 100 V"),
-        (("--start", "110", "--range", "0,130"), 3, "100 V, 2000 of 2000 samples lie outside"),
+        (("--start", "-30"), 2, "is outside the range 0 to 100 V"),
+        (("--start", "110", "--range", "0,130"), 3, "100 V; 2000 of 2000 samples are outside"),
     ],
 )
 def test_what_is_refused(stage, capsys, options, code, message):
@@ -228,7 +228,7 @@ def test_out_of_reach_names_volts_and_positions(stage, capsys):
     assert "u hits its lower limit, 0 V, first at " in error
     assert "0 to 100 V on u, -20 to 120 V on v (--range)" in error
     low, high = reach(model_of(), [(0.0, 100.0), (-20.0, 120.0)]).alone_um[0]
-    assert f"one at a time, x {low:.4g} to {high:.4g}" in error
+    assert f"one axis at a time: x {low:.4g} to {high:.4g}" in error
 
 
 def test_a_corner_gets_a_filter_with_a_number(tmp_path, capsys):
@@ -281,7 +281,7 @@ def test_the_drive_file_is_read_by_pandas_and_by_us(stage):
     assert record.sample_time_s == pytest.approx(T)
     text = out.read_text()
     assert "u from 0 to 100 V, at rest at 0 V; v from -20 to 120 V, at rest at -20 V" in text
-    assert "Initial state, from which the path counts: 0 V on u, -20 V on v" in text
+    assert "Initial state, where the path is zero: 0 V on u, -20 V on v" in text
 
 
 def test_twins_of_a_name_keep_their_columns(stage):
@@ -410,9 +410,9 @@ def test_a_model_far_from_home_says_so():
         given = {} if amplitude is None else {"amplitude_v": amplitude}
         models = [{"label": "m", "identification": {"method": "closed_form", **given}}]
         reports.append(hammerstein.run(hammerstein.Scenario.model_validate(content | {"models": models})))
-    assert not any("found from" in text for text in reports[0].statements)
-    (said,) = [text for text in reports[1].statements if "found from" in text]
-    assert "but the model was found from -5 to 5 V" in said
+    assert not any("identified from" in text for text in reports[0].statements)
+    (said,) = [text for text in reports[1].statements if "identified from" in text]
+    assert "but the model was identified from -5 to 5 V" in said
 
 
 def test_signs_of_poling():
@@ -434,7 +434,7 @@ def test_a_drive_file_with_columns_of_other_axes_is_never_written():
     from hammerstein.compensators.drive_csv import drive_csv
 
     rows = np.zeros((2, 3))
-    with pytest.raises(InputError, match="two columns would be called drive_u_v"):
+    with pytest.raises(InputError, match="two columns would have the name drive_u_v"):
         drive_csv(np.zeros(3), [("drive", "v", ["u", "u#"], rows)], [])
     with pytest.raises(InputError, match="2 drive columns for 1 names"):
         drive_csv(np.zeros(3), [("drive", "v", ["u"], rows)], [])

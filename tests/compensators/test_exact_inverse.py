@@ -138,7 +138,7 @@ def test_models_that_no_drive_can_follow_are_refused(pairs, message):
 def test_a_model_without_inverse_is_named_where_it_fails():
     model = _model([[Pair([0.0, 0.5, 2.0], [2.0, -3.0, 5.0])]])
     with pytest.raises(
-        SimulationError, match=r"of its 3 .* 1 .* 2 operators engaged \(thresholds to 0.5 V\): \[\[-1"
+        SimulationError, match=r"of its 3 .* 1 .* 2 moving operators \(thresholds up to 0.5 V\): \[\[-1"
     ):
         ExactInverseLaw(model, 10.0)
     drive, _ = ExactInverseLaw(model, 10.0, run_anyway=True).respond(
@@ -184,7 +184,7 @@ def test_both_ways_to_examine_determinants_agree():
 
 def test_printed_table_has_an_inverse_and_is_solved():
     law = ExactInverseLaw(_table(), 10.0)
-    assert "225 slope matrices have one sign" in law.statement()
+    assert "225 slope matrices have the same sign" in law.statement()
     assert "its drive jumps: 0.14 V on input u0, 0.14 V on input u1." in law.statement()
     angle = 2.0 * np.pi * np.arange(800) / 400
     path = 50.0 * np.stack([np.cos(angle), np.sin(angle)])

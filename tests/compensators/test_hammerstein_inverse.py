@@ -279,7 +279,7 @@ def test_the_start_hears_of_the_samples_that_it_states_and_of_no_other():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"filter_hz": 9000.0}, "filter_hz: must lie between 0 and 7692"),
+        ({"filter_hz": 9000.0}, "filter_hz: must be between 0 and 7692"),
         ({"filter_hz": 0.0}, "filter_hz"),
         ({"preview_s": -1.0}, "preview_s: must be 0 or more"),
     ],
@@ -297,7 +297,7 @@ def _discrete(a, b, c, d):
     ("dynamics", "message"),
     [
         (_discrete([[1.01]], [[1.0]], [[1.0]], [[0.0]]), "not stable"),
-        (_discrete([[0.5]], [[1.0]], [[0.0]], [[0.0]]), "Output 1 .* does not react"),
+        (_discrete([[0.5]], [[1.0]], [[0.0]], [[0.0]]), "Output 1 .* responds to no input"),
         # y = x[k] - x[k-1] behind a lag: a zero at z = 1, where no finite drive holds a position.
         (_discrete([[0.5, 0.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, -1.0]], [[0.0]]), "zero at .z. = 1"),
         (

@@ -170,7 +170,7 @@ def test_the_statement_holds_the_filter(table):
     radius = 1 - share * least
     assert law.convergence.spectral_radius == pytest.approx(radius, rel=1e-9)
     time_s = -T / passes / np.log(radius)
-    assert f"an error dies out with a time constant of {1e3 * time_s:.3g} ms" in law.statement()
+    assert f"an error decays with a time constant of {1e3 * time_s:.3g} ms" in law.statement()
     assert not law.convergence.overshoot
 
 

@@ -290,7 +290,7 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
     assert _call("compensate", "duo_bimorph", path, *both) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["finished"]
-    assert "worse. Stop: the drive of the trial before is kept." in said["statements"][0]
+    assert "worse. Stop: the drive of the previous trial is kept." in said["statements"][0]
     kept, best = (pd.read_csv(f, comment="#")["drive_x_v"] for f in (tmp_path / "kept.csv", drive))
     np.testing.assert_allclose(kept, best, atol=1e-9)
     table = tmp_path / "table.csv"
@@ -384,7 +384,7 @@ def test_the_report_leads_with_the_trials(off):
             {"reference": {"kind": "circle", "radius_um": 20.0, "frequency_hz": 75.0}},
             "whole number of samples",
         ),
-        ({"measure": {"settle_cycles": 2, "measured_cycles": 2}}, "whole periods of 250, 3 or more"),
+        ({"measure": {"settle_cycles": 2, "measured_cycles": 2}}, "whole periods of 250 samples, 3 or more"),
         (
             {
                 "reference": {
@@ -424,7 +424,7 @@ def test_the_uncertainty_of_the_model_belongs_to_a_trial(tmp_path, capsys):
         tmp_path / "drive.csv",
     )
     assert _call("compensate", *arguments) == 2
-    assert "--uncertainty: says what --learn counts on" in capsys.readouterr().err
+    assert "--uncertainty: applies to --learn" in capsys.readouterr().err
 
 
 def test_no_drive_is_sent_ahead_by_a_law_that_learns(tmp_path, capsys):

@@ -59,7 +59,7 @@ def test_a_small_path_is_asked_about_once_and_its_unit_counts(tmp_path, capsys, 
 def test_a_path_far_above_the_travel_is_asked_about(tmp_path, capsys):
     path = _write(tmp_path / "path.csv", 1e3, radius_um=20.0)
     assert _drive(path, tmp_path / "drive.csv") == 2
-    assert "in um the path goes to 4e+04 um, and the model travels" in capsys.readouterr().err
+    assert "in um the path goes to 4e+04 um, but the model travels" in capsys.readouterr().err
 
 
 def test_a_period_has_the_unit_of_its_option(tmp_path, capsys):

@@ -111,7 +111,7 @@ def test_shortfall_names_samples_and_axes():
         f"u is at its upper limit, 10 V, in {number} of 800 samples, first at sample {first} "
         in found.statement(*NAMES)
     ) == (2 * (drive[0] >= 10.0).sum() >= number)
-    assert "output x is missed by up to" in found.statement(*NAMES)
+    assert "output x has an error of up to" in found.statement(*NAMES)
 
 
 def test_a_path_within_reach_passes():

@@ -129,7 +129,7 @@ def test_a_replay_reproduces_the_stated_error(tmp_path, capsys, options, separat
     if "nv200" in options:
         assert table.shape[1] == 1000  # of 1024; 800 us would be too few a point
     text = out.read_text()
-    assert "No device was at hand" in text
+    assert "untried on a device" in text
     assert (f"Table rate {hold} at a servo update time of 50 us" in text) == ("pi" in options)
     limits = (
         f"points {table.shape[1]}, rate {1.0 / (hold * T):g} Hz, low {table.min():g}, high {table.max():g}"
@@ -184,7 +184,7 @@ def test_creep_that_never_settles_is_said(tmp_path):
     pd.DataFrame({"time_s": np.arange(200) * T, "x": 10.0 + 8.0 * np.sin(turn)}).to_csv(
         tmp_path / "p.csv", index=False
     )
-    with pytest.raises(SimulationError, match="has creep, which does this"):
+    with pytest.raises(SimulationError, match="Creep in the model causes this"):
         cycle_of(str(tmp_path / "stage.json"), tmp_path / "p.csv", "hammerstein_inverse", {})
 
 

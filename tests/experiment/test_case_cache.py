@@ -249,7 +249,7 @@ def test_an_entry_that_is_not_what_was_written_is_told_and_worked_out(store, wor
     one, other, *_ = entries(store.folder)
     spoil(one, how, other)
     worked_out.clear()
-    with pytest.warns(Notice, match="spoilt and is worked out again") as told:
+    with pytest.warns(Notice, match="damaged and is computed again") as told:
         again = run(SCENARIO, store=store)
     assert [str(one) in str(warning.message) for warning in told] == [True]
     assert len(worked_out) == 1
@@ -329,7 +329,7 @@ def test_where_nothing_can_be_kept_the_run_goes_on_and_says_so_once(tmp_path, ho
         [*map(str, command), "--jobs", "1"], capture_output=True, text=True, env=environment, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count("results are not kept") == 1
+    assert done.stderr.count("results are not cached") == 1
     assert (tmp_path / "r" / "a" / "report.json").is_file()
     assert (tmp_path / "r" / "b" / "report.json").is_file()
 
@@ -516,7 +516,7 @@ def test_an_identification_is_kept_and_told_where_it_was_spoilt(place, identifie
     assert len(identified) == 1
     (entry,) = entries(place)
     spoil(entry, "flipped", entry)
-    with pytest.warns(Notice, match="spoilt and is worked out again"):
+    with pytest.warns(Notice, match="damaged and is computed again"):
         assert run(IDENTIFIED).to_json() == first.to_json()
     assert len(identified) == 2
 

@@ -117,7 +117,7 @@ def test_too_many_operators_for_the_samples():
 
 
 def test_a_voltage_that_the_drive_cuts_is_refused():
-    with pytest.raises(IdentificationError, match="asks for 11 V about 0 V, the drive gives -10 to 10 V"):
+    with pytest.raises(IdentificationError, match="needs 11 V about 0 V, but the drive gives -10 to 10 V"):
         identified(_plant("duo_bimorph"), ClosedFormSpec(amplitude_v=11), 1)
 
 
@@ -202,7 +202,7 @@ def test_what_does_not_go_together_is_refused_in_a_scenario_too():
         "reference": {"kind": "circle", "radius_um": 5.0, "frequency_hz": 50.0},
         "compensators": [{"label": "a", "law": "exact_inverse", "identification": wrong}],
     }
-    with pytest.raises(InputError, match=r"\[1\].identification.*dead_zones belong to hysteresis"):
+    with pytest.raises(InputError, match=r"\[1\].identification.*dead_zones belongs to hysteresis"):
         run(scenario)
 
 

@@ -246,7 +246,7 @@ def test_model_error_is_small_up_to_its_frequency_and_grows_above():
         (
             {"reference": {"kind": "circle", "radius_um": 80, "frequency_hz": 50}, "compensators": [PAPER]},
             SimulationError,
-            "asks for 80 um on x; the actuator reaches",
+            "needs 80 um on x, but the actuator reaches",
         ),
         (
             {
@@ -304,7 +304,7 @@ def test_the_lag_of_the_sensor_is_told_from_the_error_of_the_actuator():
     said = run(Scenario.model_validate(content)).statements
     lag = 20.0 / np.sqrt(2.0) * 100.0 / 2000.0  # first order, small angle
     (text,) = [text for text in said if text.startswith("The sensor of 2000 Hz lags")]
-    assert float(text.split("its reading on x is ")[1].split()[0]) == pytest.approx(lag, rel=0.05)
+    assert float(text.split("rms error on x is ")[1].split()[0]) == pytest.approx(lag, rel=0.05)
     prompt = {**content, "instruments": {"sensor": {"bandwidth_hz": float("inf")}}}
     assert not [t for t in run(Scenario.model_validate(prompt)).statements if "lags" in t]
 
@@ -419,7 +419,7 @@ def test_a_law_that_knows_the_actuator_itself_says_so():
     laws = [{"label": f"law {k}", "law": "none", **source} for k, source in enumerate(sources)]
     said = [s for s in run(_scenario(reference=reference, compensators=laws)).statements if "itself" in s]
     assert said == [
-        "law 0: designed from the simulated actuator itself. On a real one the model's error comes on top."
+        "law 0: designed from the simulated actuator itself. On a real actuator, the model error is added."
     ]
 
 
@@ -471,8 +471,8 @@ def test_one_cut_voltage_among_the_samples_not_recorded_counts():
     ("actuator", "sample_time_s", "told"),
     [
         ("duo_bimorph_static", 50e-6, ""),
-        ("duo_bimorph_static", 2e-3, "between the samples, and the figures are those at them."),
-        ("duo_bimorph", 2e-3, "Only a law or model with dynamics knows of it."),
+        ("duo_bimorph_static", 2e-3, "the numbers in this report are errors at the samples."),
+        ("duo_bimorph", 2e-3, "Only a law or a model with dynamics accounts for it."),
     ],
 )
 def test_what_the_hold_alone_costs_is_told(actuator, sample_time_s, told):
@@ -483,7 +483,7 @@ def test_what_the_hold_alone_costs_is_told(actuator, sample_time_s, told):
         instruments={"drive": {"sample_time_s": sample_time_s}},
         models=[{"label": "m", "identification": {"frequency_hz": 50, "sample_time_s": 50e-6}}],
     )
-    said = [text for text in run(scenario).statements if "held for" in text or "sample times" in text]
+    said = [text for text in run(scenario).statements if "is constant for" in text or "sample time" in text]
     assert bool(said) == bool(told)
     if told:
         assert said[0].endswith(told)
@@ -491,5 +491,5 @@ def test_what_the_hold_alone_costs_is_told(actuator, sample_time_s, told):
         held = np.sin(2 * np.pi * 10.0 * 2e-3 * np.floor(time / 2e-3))
         error = held - np.sin(2 * np.pi * 10.0 * time)
         off = 2.0 * abs(np.mean(error * np.exp(-2j * np.pi * 10.0 * time)))
-        assert f"a sine {100 * off:.2g} % of its amplitude off" in said[0]
-        assert "identified at 50 us, run at 2000 us" in said[1]
+        assert f"an error of {100 * off:.2g} % of a sine's amplitude" in said[0]
+        assert "identified at a sample time of 50 us, run at 2000 us" in said[1]

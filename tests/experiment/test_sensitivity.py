@@ -97,7 +97,7 @@ def test_samples_are_a_power_of_two_and_something_varies():
     with pytest.raises(ValueError, match="power of two, as a Sobol sequence needs it; 128 is near"):
         Uncertainty(sensitivity=100)
     still = SCENARIO | {"uncertainty": {"draws": 2, "sensitivity": 8}}
-    with pytest.raises(InputError, match="nothing varies"):
+    with pytest.raises(InputError, match="nothing is uncertain"):
         run(still)
     assert Scenario.model_validate(SCENARIO).uncertainty.sensitivity == 32
 
@@ -145,4 +145,4 @@ def test_the_folder_has_table_figure_and_csv(tmp_path):
     table = pd.read_csv(folder / "sensitivities.csv")
     assert set(table.parameter) == {f"{what} of {axis}" for what in ("weights", "resonance") for axis in "xy"}
     assert (folder / "sensitivity.svg").is_file()
-    assert "What the spread is due to" in (folder / "report.md").read_text()
+    assert "Causes of the spread" in (folder / "report.md").read_text()

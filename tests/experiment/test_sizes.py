@@ -58,7 +58,7 @@ def test_what_does_not_fit_is_refused_before_it_starts(name, monkeypatch):
     monkeypatch.setattr("hammerstein.experiment.run.set_up", None)  # nothing begins
     with pytest.raises(SimulationError) as caught:
         run(_scenario(**tables))
-    for words in ("of memory, and 4 GB are free", part, key):
+    for words in ("of memory, but 4 GB are free", part, key):
         assert words in str(caught.value)
 
 
@@ -111,7 +111,7 @@ def test_memory_that_a_run_takes_is_what_the_plan_says():
 
 
 def test_a_filter_of_too_many_samples_is_refused_at_once():
-    with pytest.raises(InputError, match=r"filter_hz|100000 are the most; use 1\.\d+ Hz or more"):
+    with pytest.raises(InputError, match=r"filter_hz|at most 100000 are allowed; use 1\.\d+ Hz or more"):
         run(_scenario("hammerstein_inverse", {"filter_hz": 1e-3}))
 
 
@@ -119,7 +119,7 @@ def test_a_delay_of_too_many_samples_is_refused_at_once():
     from hammerstein.dynamics import AxesDynamics, Axis, discretise
 
     late = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.1),) * 2, input_delay_s=1.0)
-    with pytest.raises(InputError, match="is 20000 samples of 5e-05 s; at most 1000 are carried"):
+    with pytest.raises(InputError, match="is 20000 samples of 5e-05 s, but at most 1000 are possible"):
         discretise(late, 50e-6)
 
 
@@ -207,7 +207,7 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
     code, said = call(True)
     assert code == 2
     assert "this takes about" in said
-    assert "start it with --yes" in said
+    assert "start it anyway with --yes" in said
     assert "iterations" in said
     assert begun == []
     with monkeypatch.context() as little:  # nobody is asked for what is refused in the end
@@ -216,7 +216,7 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
         code, said = call(True)
         assert code == 3
         assert "this takes about" not in said
-        assert "of memory, and 1e-06 GB are free" in said
+        assert "of memory, but 1e-06 GB are free" in said
     for watched, options in ((True, ["--yes"]), (False, [])):
         code, said = call(watched, *options)
         assert "this takes about" in said

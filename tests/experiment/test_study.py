@@ -99,7 +99,7 @@ def test_a_key_that_is_no_number_is_refused(key):
 
 
 def test_listed_values_that_would_be_rounded_are_refused():
-    with pytest.raises(InputError, match=r"iterations +takes whole numbers alone, not 2\.5"):
+    with pytest.raises(InputError, match=r"iterations +takes whole numbers only, not 2\.5"):
         found({PASSES: [2.0, 2.5]})
 
 
@@ -109,8 +109,8 @@ def test_listed_values_that_would_be_rounded_are_refused():
         ({"how": "sobol", "values": {SIZE: (1.0, 2.0)}}, "needs samples"),
         ({"how": "sobol", "samples": 100, "values": {SIZE: (1.0, 2.0)}}, "128 is near"),
         ({"how": "random", "samples": 9, "values": {SIZE: (2.0, 1.0)}}, "two limits"),
-        ({"how": "zip", "values": {SIZE: (1.0, 2.0), NOISE: (1.0,)}}, "as many values"),
-        ({"samples": 9, "values": {SIZE: (1.0,)}}, "samples are those of"),
+        ({"how": "zip", "values": {SIZE: (1.0, 2.0), NOISE: (1.0,)}}, "equally many values"),
+        ({"samples": 9, "values": {SIZE: (1.0,)}}, "samples belongs to"),
     ],
 )
 def test_a_study_that_makes_no_sense_says_why(table, said):
@@ -121,7 +121,7 @@ def test_a_study_that_makes_no_sense_says_why(table, said):
 def test_a_key_that_the_sweep_sets_in_every_run_is_refused():
     """Its values would reach no run, and its column in the table would be untrue."""
     twice = {"sweep": {"amplitude_um": [5.0, 8.0]}, "study": {"values": {SIZE: [1.0, 2.0]}}}
-    with pytest.raises(ValueError, match=rf"study\.values: {SIZE} is swept already by sweep\.amplitude_um"):
+    with pytest.raises(ValueError, match=rf"study\.values: {SIZE} is also swept by sweep\.amplitude_um"):
         Scenario.model_validate(SCENARIO | twice)
     other = {"sweep": {"frequency_hz": [40.0, 50.0]}, "study": {"values": {SIZE: [1.0, 2.0]}}}
     assert Scenario.model_validate(SCENARIO | other).study is not None
@@ -148,7 +148,7 @@ def test_a_zip_of_the_signals_own_keys():
     assert cases == {(100.0, 5.0), (200.0, 10.0)}
     assert abs(simulate(scenario, frequency_hz=200.0).reference_um).max() == pytest.approx(10.0)
     scenario["sweep"] = scenario["sweep"] | {"amplitude_um": [5.0]}
-    with pytest.raises(InputError, match="as many values of each key: frequency_hz 2, amplitude_um 1"):
+    with pytest.raises(InputError, match="equally many values of each key: frequency_hz 2, amplitude_um 1"):
         run(scenario)
 
 
@@ -198,7 +198,7 @@ def test_the_table_is_the_same_as_csv_and_parquet_and_after_an_interruption(tmp_
     refused = capsys.readouterr().err
     table = pd.read_csv(files[0])
     failed = table.error.notna().sum()
-    assert f"{failed} of 8 runs were not possible" in refused
+    assert f"{failed} of 8 runs failed" in refused
     assert len(count) <= 8 + 1 + failed
     assert called("sweep", tmp_path / "s.toml", "--out", files[1]) == 0
     assert called("sweep", tmp_path / "s.toml", "--out", files[2], "--jobs", "2", "--fresh") == 0
@@ -218,7 +218,7 @@ def test_a_dry_run_says_how_much_it_is(tmp_path, capsys):
     assert called("sweep", tmp_path / "s.toml", "--dry-run", "--jobs", "2") == 0
     assert " with 2 jobs, " in capsys.readouterr().err
     assert called("sweep", tmp_path / "s.toml") == 2
-    assert "--out: is missing; give the file that the rows go to" in capsys.readouterr().err
+    assert "--out: is missing; give a file for the rows" in capsys.readouterr().err
     (tmp_path / "s.toml").write_text(TEXT.partition("how")[0] + f'values = {{ "{CYCLES}" = [1, 1000000] }}')
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--dry-run", "--jobs", "1") == 0
     words = r"2 runs of product values, about ([\d.]+) (\w+), ([\d.]+) GB"
@@ -343,7 +343,7 @@ def test_a_sweep_of_hours_asks_who_watches(tmp_path, capsys, monkeypatch):
     for stream in ("stdin", "stderr"):
         monkeypatch.setattr(f"sys.{stream}.isatty", lambda: True, raising=False)
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv") == 2
-    assert "start it with --yes" in capsys.readouterr().err
+    assert "start it anyway with --yes" in capsys.readouterr().err
     assert not (tmp_path / "o.csv").exists()
 
 
@@ -381,7 +381,7 @@ def test_two_sweeps_never_mix_in_one_file(tmp_path, monkeypatch):
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--jobs", "1") == 0
     (refused, said), (fine, _) = others
     assert refused == 2
-    assert f"{tmp_path / 'o.csv'} is written by another sweep" in said
+    assert f"another sweep is writing {tmp_path / 'o.csv'}" in said
     assert fine == 0
     for name, runs in (("o.csv", 8), ("p.csv", 2)):
         assert sorted(pd.read_csv(tmp_path / name)["sample"].unique()) == list(range(1, runs + 1))

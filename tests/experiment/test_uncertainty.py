@@ -91,7 +91,7 @@ def test_bands_depend_neither_on_jobs_nor_on_the_run():
 
 def test_what_does_not_exist_cannot_be_uncertain():
     scenario = _scenario(weights="standard_errors")
-    with pytest.raises(InputError, match="hang together"):
+    with pytest.raises(InputError, match="covariance of its weights"):
         run(scenario)
     static = _scenario(resonance=0.1).model_copy(update={"actuator": "duo_bimorph_static"})
     with pytest.raises(InputError, match="no axes with a resonance"):

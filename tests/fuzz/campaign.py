@@ -353,7 +353,7 @@ def refuse_not_finite(path: Path) -> None:
         return
     for line in csv.reader(text.splitlines()):
         if any(NOT_FINITE.fullmatch(cell.strip()) for cell in line):
-            raise FindingError(f"{path.name} holds a number that is not finite: {line}")
+            raise FindingError(f"{path.name} contains a number that is not finite: {line}")
 
 
 def _refuse_json(text: str) -> None:

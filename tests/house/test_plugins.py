@@ -97,7 +97,7 @@ def test_a_kind_needs_a_name_and_a_family():
 
     with pytest.raises(hammerstein.InputError, match="names no kind"):
         hammerstein.register(Nameless)
-    with pytest.raises(hammerstein.InputError, match="plugs in"):
+    with pytest.raises(hammerstein.InputError, match="can be registered"):
         hammerstein.register(int)
 
 
@@ -490,7 +490,7 @@ def test_the_plain_loop_is_the_compiled_one(follower):
 
 def test_a_law_that_needs_more_names_kind_and_want(follower):
     _, path = follower
-    for law, want in (("exact_inverse", "no exact inverse"), ("decoupled_inverse", "inverts plays alone")):
+    for law, want in (("exact_inverse", "no exact inverse"), ("decoupled_inverse", "inverts plays only")):
         own = {"label": "own", "law": law, "model": path}
         with pytest.raises(hammerstein.InputError, match=want) as told:
             hammerstein.run({**SCAN, "actuator": path, "reference": CIRCLE, "compensators": [own]})

@@ -170,7 +170,7 @@ def test_step_equals_respond_to_the_last_bit_and_states_pass_json(seed, smallest
     [
         ([1.0, 1.0], [1.0, 2.0], "not strictly increasing"),
         ([1.0, np.nan], [1.0, 2.0], "not finite"),
-        ([1.0], [1.0, 2.0], "one each"),
+        ([1.0], [1.0, 2.0], "they must be equally many"),
         ([1.0], [np.inf], "not finite"),
     ],
 )
@@ -181,7 +181,7 @@ def test_dead_zones_refuse(q, b, says):
 
 def test_a_model_refuses_other_pairs_and_voltages_that_are_not_finite():
     plays = PrandtlIshlinskii([[Pair.linear(1.0)]])
-    with pytest.raises(InputError, match="one for every pair"):
+    with pytest.raises(InputError, match="one for each pair"):
         Asymmetric(plays, [[DeadZones.absent()] * 2])
     with pytest.raises(InputError, match="working point"):
         Asymmetric(plays, [[DeadZones.absent()]], [0.0, 1.0])

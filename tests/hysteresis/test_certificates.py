@@ -104,7 +104,7 @@ def test_weights_of_both_signs_leave_the_range_of_the_growth():
     beta = -4e-4 * (1.0 - a) / T
     assert hysteresis.loop_gain()[0] == pytest.approx(-beta / (0.5 * (1.0 + a)))
     assert np.abs(np.roots([1.0, -(a + beta), beta])).max() > 1.0
-    with pytest.raises(SimulationError, match="rings up"):
+    with pytest.raises(SimulationError, match="is unstable"):
         ExactInverse().design(_model(hysteresis), 10.0, T)
 
 

@@ -99,7 +99,7 @@ def test_python_control_integrates_the_same_from_the_object():
         ),
         (
             lambda: PrandtlIshlinskii([[Pair(R, W)]]).to_describing_function(0.05),
-            "nothing moves up to 0.05 V",
+            "nothing moves below 0.05 V",
         ),
     ],
 )
@@ -175,7 +175,7 @@ def test_what_cannot_be_searched_is_refused():
         with pytest.raises(InputError, match=message):
             limit_cycles(_saturation(), *arguments)
     hysteresis = PrandtlIshlinskii([[Pair(R, W)]]).to_describing_function(RANGE_V)
-    with pytest.raises(InputError, match=r"begin above 0\.05 V"):
+    with pytest.raises(InputError, match=r"use amplitudes above 0\.05 V"):
         limit_cycles(hysteresis, system, [0.01, 1.0])
 
 

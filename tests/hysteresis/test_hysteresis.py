@@ -378,9 +378,9 @@ def test_a_model_from_arrays_names_the_pair():
 
 
 def test_a_model_refuses_ragged_rows_and_no_operator():
-    with pytest.raises(InputError, match="one pair for every input"):
+    with pytest.raises(InputError, match="one pair for each input"):
         PrandtlIshlinskii([[Pair.linear(1.0)], [Pair.linear(1.0), Pair.linear(1.0)]])
-    with pytest.raises(InputError, match="one pair for every input"):
+    with pytest.raises(InputError, match="one pair for each input"):
         PrandtlIshlinskii([])
     with pytest.raises(InputError, match="all pairs are absent"):
         PrandtlIshlinskii([[Pair.absent()]])
@@ -417,8 +417,8 @@ def test_a_state_refuses_plays_that_no_voltage_leads_to():
         (1.0, [1.0], None, r"u has shape \(\)"),
         (np.zeros(3), [[1.0]], None, r"r has shape \(1, 1\)"),
         (np.zeros(3), [1.0], [1.0, 2.0], "start has 2 outputs, r 1"),
-        (["a"], [1.0], None, "u holds what is no number"),
-        ([0.0, np.nan], [1.0], None, "u is not finite at place 1"),
+        (["a"], [1.0], None, "u contains a value that is no number"),
+        ([0.0, np.nan], [1.0], None, "u is not finite at index 1"),
     ],
 )
 def test_what_play_cannot_play_is_one_message(u, r, start, said):

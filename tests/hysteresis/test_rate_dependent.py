@@ -192,7 +192,7 @@ def test_the_inverse_is_stable_exactly_where_its_loop_gain_is_below_one(growth_s
     assert (hysteresis.loop_gain()[0] < 1.0) == stable
     model = HammersteinModel("one", hysteresis, StaticDynamics(n_outputs=1), 10.0, ("u",), ("x",))
     if not stable:
-        with pytest.raises(SimulationError, match="rings up"):
+        with pytest.raises(SimulationError, match="is unstable"):
             ExactInverse().design(model, 1e6, T)
     law = ExactInverse(run_anyway=True).design(model, 1e6, T)
     ramp = np.concatenate([np.linspace(0.0, 100.0, 400), 100.0 + 0.25 * np.arange(1.0, 2000.0)])[None, :]
@@ -231,7 +231,10 @@ def test_the_range_is_kept_and_left_again():
 def test_weights_that_leave_no_inverse_are_refused():
     plays = RatePlays([0.0, 1.0], [0.0, 1e-4])
     one = RateDependent((plays,), (([1.0, -1.5],),))
-    with pytest.raises(SimulationError, match=r"inverse is not proven: .* keeps -2 of its own mean slope"):
+    with pytest.raises(
+        SimulationError,
+        match=r"is not proven that the model has an inverse: .* keeps -2 of its own mean slope",
+    ):
         ExactInverse().design(
             HammersteinModel("m", one, StaticDynamics(n_outputs=1), 5.0, ("u",), ("x",)), 5.0, T
         )
@@ -256,9 +259,9 @@ def test_behind_dynamics_the_preview_law_takes_it():
 @pytest.mark.parametrize(
     ("r", "b", "says"),
     [
-        ([0.0, 1.0], [0.0], "one each"),
+        ([0.0, 1.0], [0.0], "they must be equally many"),
         ([1.0, 0.5], [0.0, 0.0], "increasing"),
-        ([0.0, 1.0], [1.0, 0.0], "not fall"),
+        ([0.0, 1.0], [1.0, 0.0], "not decrease"),
         ([0.0, np.inf], [0.0, 0.0], "thresholds_v:? +and growth_s must be finite"),
         ([0.0, 1.0], [0.0, np.nan], "thresholds_v:? +and growth_s must be finite"),
     ],

@@ -98,7 +98,7 @@ def test_unreachable_thresholds_and_still_inputs_are_refused():
         closed_form(u, y, thresholds_v=[0.1, 0.3, 0.30001])
     with pytest.raises(IdentificationError, match="does not move"):
         closed_form(np.zeros(100), np.zeros((1, 100)))
-    with pytest.raises(IdentificationError, match="not a symmetric one"):
+    with pytest.raises(IdentificationError, match="not symmetric"):
         closed_form(np.r_[np.linspace(0, 1, 5), np.linspace(1, 0, 95)], np.zeros((1, 100)), 15)
     with pytest.raises(IdentificationError, match="shapes"):
         closed_form(np.zeros(100), np.zeros((1, 99)))

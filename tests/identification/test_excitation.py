@@ -42,7 +42,7 @@ def test_one_output_of_noise_beside_a_good_one_is_flagged():
 
 def test_an_input_of_noise_is_named():
     u = np.vstack([SINE, 1e-3 * np.random.default_rng(3).standard_normal(6000)])
-    with pytest.raises(IdentificationError, match=r"input u2 is never driven.*leave it out"):
+    with pytest.raises(IdentificationError, match=r"input u2 is never driven.*remove it"):
         identify([measured(u)], QUICK)
 
 
@@ -50,8 +50,8 @@ def test_an_input_that_was_driven_too_little_is_said_to_be_untold():
     little = np.vstack([SINE, 0.01 * np.sin(2.0 * np.pi * 7.0 * TIME_S)])
     enough = np.vstack([SINE, 5.0 * np.sin(2.0 * np.pi * 7.0 * TIME_S)])
     said = [" ".join(identify([measured(u)], QUICK)[1].not_identifiable) for u in (little, enough)]
-    assert "single weights of u2: its 0.02 V move" in said[0]
-    assert "single weights of u2" not in said[1]
+    assert "individual weights of u2: its 0.02 V move" in said[0]
+    assert "individual weights of u2" not in said[1]
 
 
 def test_a_voltage_that_never_turns_tells_no_hysteresis():
@@ -76,7 +76,9 @@ def test_dynamics_that_the_records_do_not_tell_are_the_first_thing_said():
     settings = plain(**known, dynamics="second_order")
     _, fit = identify([slow], settings)
     assert fit.kind == "static_hysteresis"
-    assert fit.verdict.startswith("Dynamics were asked for, but the records tell none: THIS MODEL IS STATIC.")
+    assert fit.verdict.startswith(
+        "You asked for dynamics, but the records do not identify any: THIS MODEL IS STATIC."
+    )
 
 
 def test_a_butterfly_is_flagged_and_not_taken_for_swapped_columns():

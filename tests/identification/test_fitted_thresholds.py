@@ -264,8 +264,8 @@ def test_auto_takes_the_number_from_the_time_partition():
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"dynamics": "state_space", "order": 4}, "state_space cannot be had with partition fitted"),
-        ({"solver": "closed_form"}, "closed_form cannot be had with partition fitted"),
+        ({"dynamics": "state_space", "order": 4}, "state_space cannot be used with partition fitted"),
+        ({"solver": "closed_form"}, "closed_form cannot be used with partition fitted"),
         ({"thresholds_v": [0.0, 1.0]}, "cannot be given with partition fitted"),
         ({"operators": [[3, 4]]}, "must be one number with partition fitted"),
     ],

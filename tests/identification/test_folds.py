@@ -21,7 +21,7 @@ def test_folds_together_hold_every_sample_once(parts):
 
 
 def test_one_part_leaves_nothing_to_choose_by():
-    with pytest.raises(IdentificationError, match="too short to choose"):
+    with pytest.raises(IdentificationError, match="too short for cross-validation"):
         folds(1)
 
 

@@ -67,7 +67,7 @@ def test_what_is_found_holds_between_the_amplitudes_of_the_records():
 
 def test_linear_records_keep_the_linear_model():
     """Stops that never slip, and take nearly nothing: a loop has nothing to tell."""
-    with pytest.raises(IdentificationError, match="worth nothing here"):
+    with pytest.raises(IdentificationError, match="does not improve the model"):
         identify_in_loop(records(stack(1e-9)), SHORT)
 
 
@@ -83,10 +83,10 @@ def test_an_interrupted_search_goes_on_where_it_was(tmp_path):
     left = json.loads(kept.read_text())["search"]["steps"]
     told = []
     _, fit = identify_in_loop(here, SHORT, kept=kept, progress=told.append)
-    assert told[0] == "going on with the search that was interrupted"
+    assert told[0] == "continuing the interrupted search"
     assert sum(text.startswith("all experiments") for text in told) <= left
     assert fit.held_um < 0.3 * fit.linear_um
-    with pytest.raises(InputError, match="search of other records"):
+    with pytest.raises(InputError, match="search on other records"):
         identify_in_loop([replace(r, y_um=2.0 * r.y_um) for r in here], SHORT, kept=kept)
 
 

@@ -129,7 +129,7 @@ def test_an_interrupted_search_goes_on_from_its_file(tmp_path):
 def test_another_file_is_no_search(tmp_path):
     file = tmp_path / "other.json"
     file.write_text('{"A": [1]}')
-    with pytest.raises(InputError, match="begin the search anew"):
+    with pytest.raises(InputError, match="start the search again"):
         LoopParameters.load(file)
 
 

@@ -48,7 +48,7 @@ def test_identify_finds_the_stack_and_says_what_the_dead_zones_gain():
     assert ours < 0.3 * plays
     assert fit.invertible
     assert "Hysteresis beyond plays improves the model" in fit.verdict
-    assert any("dead-zones an input stand beside the plays" in note for note in fit.notes)
+    assert any("dead-zones for each input beside the plays" in note for note in fit.notes)
 
 
 def test_the_model_counts_from_where_the_actuator_stood_and_is_compensated(tmp_path):
@@ -70,9 +70,9 @@ def test_the_model_counts_from_where_the_actuator_stood_and_is_compensated(tmp_p
     ("options", "says"),
     [
         ({"hysteresis": "preisac"}, "is not known"),
-        ({"hysteresis": "asymmetric", "dynamics": "state_space", "order": 4}, "state_space cannot be had"),
-        ({"hysteresis": "asymmetric", "solver": "closed_form"}, "closed_form cannot be had"),
-        ({"dead_zones": 3}, "belong to hysteresis asymmetric"),
+        ({"hysteresis": "asymmetric", "dynamics": "state_space", "order": 4}, "state_space cannot be used"),
+        ({"hysteresis": "asymmetric", "solver": "closed_form"}, "closed_form cannot be used"),
+        ({"dead_zones": 3}, "belongs to hysteresis asymmetric"),
         ({"hysteresis": "asymmetric", "dead_zones": 99}, "must be 0 to 50"),
     ],
 )

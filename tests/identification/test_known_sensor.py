@@ -50,8 +50,8 @@ def test_a_known_delay_of_the_sensor_is_not_the_actuators(sensor, actuator):
     assert max(fit.fit["hammerstein"].rms_um) < 0.03
     page = fit_page(model, fit).markdown()
     assert f"| sensor delay, as given | {sensor / PARTS * T:.4g} s" in page
-    assert "beside the sensor's" in page
-    assert "taken as the actuator's" not in page
+    assert "without the sensor's" in page
+    assert "assigned to the actuator" not in page
     assert "hold for this delay" in page
 
 
@@ -93,7 +93,7 @@ def test_mistakes_name_the_delay():
         assert "sensor_delay_s" in message(lambda wrong=wrong: Settings(sensor_delay_s=wrong))
     for sensor in ({"sensor_delay_s": 1e-4}, {"sensor_bandwidth_hz": 2000.0}):
         said = message(lambda sensor=sensor: Settings(dynamics="state_space", **sensor))
-        assert f"{next(iter(sensor))}  cannot be taken out of dynamics state_space" in said
+        assert f"{next(iter(sensor))}  cannot be separated from dynamics state_space" in said
     record = late_records(0)[0]
     said = message(lambda: identify([record], plain(sensor_delay_s=0.995 * record.samples * T)))
-    assert "the sensor is said to come 1492 late" in said
+    assert "the sensor delay is 1492 samples" in said

@@ -69,7 +69,7 @@ def test_a_record_that_begins_after_a_turn_needs_no_rest():
 
 def test_one_rate_cannot_tell_growth():
     block = RateDependent((RatePlays(R, [0.0, 3e-4, 3e-4, 3e-4], 400.0),), ((np.ones(4),),)).on_grid(T)
-    with pytest.raises(IdentificationError, match="driven at one rate"):
+    with pytest.raises(IdentificationError, match="has one rate only"):
         fit_kind("rate_dependent", records_of(block, sines((50.0,), (6,))), grids=[R])
 
 
@@ -84,8 +84,10 @@ def test_growth_that_is_not_there_is_not_identifiable_and_plays_are_kept():
     model, fit = identify(without_growth(), Settings(hysteresis="rate_dependent", error_curve=False))
     assert isinstance(model.hysteresis, PrandtlIshlinskii)
     told = fit.not_identifiable[0]
-    assert told.startswith("how thresholds grow with the rate: plays alone leave")
-    assert told.endswith("plays are kept")
+    assert told.startswith(
+        "growth of the thresholds with the rate: the cross-validation error of plays alone is"
+    )
+    assert told.endswith("the model keeps plays")
     noise = 100.0 * 0.04 / np.ptp(without_growth()[0].y_um)
     assert fit.fit[fit.kind].mean_percent == pytest.approx(noise, rel=0.05)
 
@@ -93,7 +95,7 @@ def test_growth_that_is_not_there_is_not_identifiable_and_plays_are_kept():
 def test_a_comparison_says_that_growth_is_not_identifiable():
     found = compare(without_growth(), Settings(dynamics="none", error_curve=False))
     reasons = {failed.hysteresis: failed.reason for failed in found.failed}
-    assert "how thresholds grow with the rate" in reasons["rate_dependent"]
+    assert "growth of the thresholds with the rate" in reasons["rate_dependent"]
     assert "rate_dependent" not in [entry.hysteresis for entry in found.entries]
 
 

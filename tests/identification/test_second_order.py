@@ -188,9 +188,7 @@ def test_a_slow_record_tells_no_resonance():
     fit = fitted([record_of(u, 0.04, np.random.default_rng(0), sample_time_s=0.01)])
     assert not any(axis_identified(axis) for axis in fit.axes)
     statements = axis_statements(("x", "y"), fit.axes)
-    assert statements[0].startswith(
-        "resonance and damping of x: an axis explains the records no better than none"
-    )
+    assert statements[0].startswith("resonance and damping of x: dynamics do not lower the error")
 
 
 def axis_fit(resonance_hz, told, creep=(), creep_gain_errors=(), damping_error_percent=1.0):
@@ -211,8 +209,10 @@ def test_an_axis_that_is_not_told_passes_its_input_unchanged():
 def test_unsure_damping_and_creep_are_stated():
     slow = (CreepMode(gain=0.01, time_constant_s=300.0),)
     said = axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)])
-    assert said[0] == "damping of x: known to 40 % only"
-    assert said[1].startswith("creep of x over 300 s: 0.01 +- 0.02; record for several times as long")
+    assert said[0] == "damping of x: standard error 40 %"
+    assert said[1].startswith(
+        "creep of x with a time constant of 300 s: gain 0.01 +- 0.02; use a record several times longer"
+    )
 
 
 @pytest.mark.parametrize("sensor_hz", [None, 2000.0])

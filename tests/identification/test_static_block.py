@@ -346,7 +346,7 @@ def test_inputs_that_move_together_are_told_by_name():
     u = decays(0)
     u[1] = 0.5 * u[0]
     grids = [[np.array([0.0, 1.0, 3.0]), np.array([0.0, 0.5, 1.5])]] * 2
-    with pytest.raises(IdentificationError, match="inputs u1 and u2 apart: they never move independently"):
+    with pytest.raises(IdentificationError, match="inputs u1 and u2: they never move independently"):
         fit_static([Record(u, u, 1e-3)], grids)
 
 

@@ -77,7 +77,7 @@ def test_the_file_keeps_it():
     with pytest.raises(InputError, match="row i of a factor must hold i numbers"):
         HammersteinModel.from_json(json.dumps(content))
     del rows[3:], rows[2][3:]
-    with pytest.raises(InputError, match=r"one factor an output, of \[5\] rows"):
+    with pytest.raises(InputError, match=r"one factor for each output, of \[5\] rows"):
         HammersteinModel.from_json(json.dumps(content))
 
 
@@ -121,7 +121,7 @@ def _digest(content):
 
 
 def test_a_covariance_of_other_weights_is_refused():
-    with pytest.raises(InputError, match=r"one factor an output, of \[1\] rows"):
+    with pytest.raises(InputError, match=r"one factor for each output, of \[1\] rows"):
         PrandtlIshlinskii([[Pair([0.0], [1.0])]], (WeightCovariance(np.eye(2)),))
 
 
@@ -143,5 +143,5 @@ def test_a_model_that_knows_errors_one_by_one_cannot_be_drawn():
     model = HammersteinModel(
         "old", PrandtlIshlinskii([[pair]]), StaticDynamics(n_outputs=1), 4.0, ("u",), ("y",)
     )
-    with pytest.raises(InputError, match="hang together"):
+    with pytest.raises(InputError, match="does not state the covariance"):
         Uncertainty(weights="standard_errors").draw(model, Instruments(), 0)

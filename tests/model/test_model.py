@@ -74,7 +74,7 @@ def _written(tmp_path, change):
         (lambda c: c["hysteresis"]["pairs"][0][0].update(thresholds_v=[float("nan"), 0.5]), "1e6, not nan"),
         (lambda c: c["hysteresis"]["pairs"][1][1].update(weights_um_per_v=[1.0, 2.0]), "has shape"),
         (lambda c: c["hysteresis"]["pairs"].pop(), "must have 1 inputs and 1 outputs"),
-        (lambda c: c["hysteresis"]["pairs"][0].pop(), "must hold one pair for every input of every output"),
+        (lambda c: c["hysteresis"]["pairs"][0].pop(), "must hold one pair for each input of each output"),
         (lambda c: c.update(format="other/2"), "hammerstein-model/2"),
         (lambda c: c["dynamics"].update(kind="axis"), "did you mean axes"),
     ],

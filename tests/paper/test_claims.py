@@ -112,7 +112,7 @@ def test_what_ends_with_the_sweep_is_no_verdict():
     assert math.isnan(judgement.simulated[0].value)
     assert judgement.word == "undecided"
     assert not judgement.agrees
-    assert judgement.reason == "The sweep ends before the figure is reached."
+    assert judgement.reason == "The sweep ends before the value is reached."
     assert judgement.simulated[0].text() == "beyond the sweep"
     assert list(judgement.numbers()) == []
 

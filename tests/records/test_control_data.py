@@ -62,7 +62,7 @@ def test_a_discrete_transfer_function_keeps_its_grid():
 @pytest.mark.parametrize(
     ("system", "message"),
     [
-        (control.frd([1.0, 0.5], [1.0, 10.0]), "a frequency response, which has no state; fit"),
+        (control.frd([1.0, 0.5], [1.0, 10.0]), "a frequency response, which has no state; first fit"),
         (control.tf([1.0, 0.0, 0.0], [1.0, 1.0]), "improper"),
         (control.tf([1.0], [1.0, 0.5], True), "discrete without a sample time"),
         (control.saturation_nonlinearity(1.0), "is a saturation_nonlinearity; give a control.StateSpace"),
@@ -119,7 +119,7 @@ def test_with_a_reference_that_is_the_input():
 
 
 def test_a_wire_that_a_run_does_not_have_is_refused(response):
-    with pytest.raises(InputError, match="'reference_um' is not one of this run; it has requested_v"):
+    with pytest.raises(InputError, match="'reference_um' is no signal of this run; it has requested_v"):
         response.to_time_response(inputs=("reference_um",))
 
 

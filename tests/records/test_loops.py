@@ -318,7 +318,7 @@ def test_two_inputs_in_motion_draw_no_loop_of_a_pair():
     u = np.vstack([sine(3), np.roll(sine(3), 100)])
     both = Record(u, [respond(u[0]) + respond(u[1]), respond(u[1])], 5e-5, ("ux", "uy"), ("x", "y"))
     assert loop_table(both) == []
-    assert "ux and uy move at once" in without_loops(both)
+    assert "ux and uy move together" in without_loops(both)
     in_turn = np.vstack([np.append(sine(3), 0 * sine(3)), np.append(0 * sine(3), sine(3))])
     loops = loop_table(Record(in_turn, [respond(in_turn[0]), respond(in_turn[1])], 5e-5))
     assert {(loop.input, loop.start < 1200) for loop in loops} == {("u1", True), ("u2", False)}

@@ -65,7 +65,7 @@ def test_a_record_in_which_all_inputs_move_is_drawn_and_called_so(tmp_path, caps
     named = ("--inputs", "ux,uy", "--outputs", "x,y", "--time", "t", "--out", tmp_path)
     assert _call("loops", path, *named) == 0
     told = capsys.readouterr()
-    assert "ux and uy move at once" in told.err
+    assert "ux and uy move together" in told.err
     assert "height_um" not in told.out
     assert (tmp_path / "circle" / "loops.png").stat().st_size > 5_000
 
@@ -98,7 +98,7 @@ def test_thresholds_can_be_given(records, tmp_path, capsys):
     assert HammersteinModel.load(str(out)).hysteresis.pairs[0][0].thresholds_v.tolist() == [0.0, 0.5, 3.0]
     capsys.readouterr()
     assert _call(*arguments, "--thresholds", "0;1") == 2
-    assert "no voltages with commas between them" in capsys.readouterr().err
+    assert "no list of voltages with commas between them" in capsys.readouterr().err
 
 
 def test_json_holds_fit_and_validation(records, tmp_path, capsys):
@@ -134,7 +134,9 @@ def test_wrong_options_write_nothing(records, tmp_path, capsys, arguments, code,
 def test_a_rate_that_the_time_column_contradicts_is_refused(records, tmp_path, capsys):
     arguments = ("identify", *records, *COLUMNS, "--no-figures", "--out", tmp_path / "m.json", "--rate")
     assert _call(*arguments, 5000) == 2
-    assert "its column time goes on by 5e-05, which is 20000 Hz; give --time time" in capsys.readouterr().err
+    assert (
+        "the column time has steps of 5e-05, which is 20000 Hz; give --time time" in capsys.readouterr().err
+    )
     assert not list(tmp_path.iterdir())
     frame = pd.read_csv(records[0])
     for k, factor in enumerate((1e3, 1e6, 20000.0)):  # ms, us, samples
@@ -180,7 +182,7 @@ def test_an_input_that_never_moves_cannot_be_identified(records, tmp_path, capsy
 def test_a_record_is_not_fitted_and_held_back_at_once(records, tmp_path, capsys):
     options = ("--rate", 20000, "--out", tmp_path / "m.json", "--validate", records[0])
     assert _call("identify", *records, *COLUMNS, *options) == 2
-    assert "hold back another one" in capsys.readouterr().err
+    assert "use another record for validation" in capsys.readouterr().err
 
 
 def test_a_record_without_a_loop_says_so(records, tmp_path, capsys):
@@ -207,7 +209,7 @@ def test_displacements_in_nm_without_a_unit_are_asked_for_it(records, tmp_path, 
     assert _call(*call, "--units", "inch") == 2
     assert "is not one of" in capsys.readouterr().err
     assert _call(*call, "--units", "nm", "--output-scale", "0.001") == 2
-    assert "says the same as --output-scale" in capsys.readouterr().err
+    assert "repeats --output-scale" in capsys.readouterr().err
 
 
 def test_a_gain_that_no_actuator_has_is_refused_until_it_is_accepted(records, tmp_path, capsys):
@@ -230,7 +232,7 @@ def test_a_person_is_asked_about_a_gain(records, capsys, monkeypatch):
     call = ("loops", records[0], *COLUMNS, "--rate", 20000, "--no-figures", "--output-scale", 200)
     assert _call(*call) == 0
     assert asked == [asked[0]]
-    assert asked[0].endswith("outside 0.001 to 1000 um/V. Is that right?")
+    assert asked[0].endswith("outside 0.001 to 1000 um/V. Is this right?")
 
 
 def test_records_have_folders_of_their_own(records, tmp_path):
@@ -279,7 +281,7 @@ def test_a_loop_that_turns_backwards_is_no_hysteresis(tmp_path, capsys, monkeypa
     pd.DataFrame({"u": np.sin(turned), "x": late}).to_csv("record.csv", index=False)
     call = ("loops", "record.csv", "--inputs", "u", "--outputs", "x", "--rate", "20000", "--no-figures")
     assert _call(*call, "--accept-gain") == 0
-    assert ("turns backwards (width -82 %)" in capsys.readouterr().err) is said
+    assert ("runs backwards (width -82 %)" in capsys.readouterr().err) is said
 
 
 @pytest.mark.parametrize("case", ["swapped", "noise", "copy"])
@@ -292,7 +294,11 @@ def test_loops_ask_the_doubts_of_identify(tmp_path, capsys, monkeypatch, case):
     u, x = {"swapped": (x, u), "noise": (u, noise), "copy": (u, u)}[case]
     pd.DataFrame({"u": u, "x": x}).to_csv("record.csv", index=False)
     call = ("loops", "record.csv", "--inputs", "u", "--outputs", "x", "--rate", "20000", "--no-figures")
-    said = {"swapped": "leads u by 1", "noise": "no output of record.csv answers", "copy": "the same numbers"}
+    said = {
+        "swapped": "leads u by 1",
+        "noise": "no output of record.csv responds",
+        "copy": "equals the column",
+    }
     assert _call(*call) == 2
     assert said[case] in capsys.readouterr().err
     assert _call(*call, "--accept-order", "--accept-gain") == 0

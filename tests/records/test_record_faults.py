@@ -29,8 +29,8 @@ WORDS = {
     "never driven": "never driven",
     "noise": "readings are noise",
     "lag": "phase lag looks like hysteresis",
-    "clipped sensor": "stands at",
-    "missed": "is missed by",
+    "clipped sensor": "stays at",
+    "missed": "the error of",
 }
 """What is said of each fault, and of no other."""
 
@@ -54,18 +54,18 @@ FAULTS = [
         for shape in ALL
         if shape not in ("prbs", "random levels")
     ),
-    *((made.drive_spike, "outliers", r"u_x are left out: row 2222 \(", shape) for shape in ALL),
+    *((made.drive_spike, "outliers", r"u_x: row 2222 \(", shape) for shape in ALL),
     *(
         (made.drift, "drift", r"x of r0.csv drifts by [45]\.\d* um from row \d+ to row \d{4}", shape)
         for shape in SLOW
     ),
     *((made.thermal_drift, "drift", r"y of r0.csv drifts by [234]\.\d* um", shape) for shape in SLOW),
     *(
-        (made.clipped_command, "clipped command", r"goes on beyond .* V \(rows \d+ to \d+", shape)
+        (made.clipped_command, "clipped command", r"the command exceeds .* V \(rows \d+ to \d+", shape)
         for shape in SLOW
     ),
     *(
-        (made.clipped_reading, "clipped reading", r"while it stands \(rows \d+ to \d+", shape)
+        (made.clipped_reading, "clipped reading", r"while it is constant \(rows \d+ to \d+", shape)
         for shape in PERIODIC
     ),
     *((made.saturation, "saturation", r"row \d+|steepest slope", shape) for shape in SLOW),

@@ -79,7 +79,7 @@ class TestTextFiles:
             lines[100] = lines[100].replace(",", ',"', 1)
             lines[110] += '"'
 
-        assert "is a quotation mark left open?" in message(read, csv(leave_open))
+        assert "is there an unclosed quotation mark?" in message(read, csv(leave_open))
 
     def test_preamble_and_row_of_units(self, tmp_path, table):
         path = tmp_path / "scope.csv"
@@ -95,7 +95,7 @@ class TestTextFiles:
         path.write_text("when,t,u_x,x\n" + "\n".join(f"12:00:{k:03d},{line}" for k, line in enumerate(lines)))
         (record,) = read(path)
         np.testing.assert_allclose(record.u_v[0], U, atol=1e-9)
-        said = "'12:00:000' and so on is text in every row; name another column"
+        said = "'12:00:000' and others: this column has text in every row; name another column"
         assert said in message(read, path, outputs=["when"])
 
     def test_comments_and_empty_lines_count_as_rows(self, csv):
@@ -125,9 +125,9 @@ class TestTextFiles:
             lines[30] = "0.145,nan,1.0"
 
         text = message(read, csv(change))
-        assert "column u_x, row 11  holds no finite number" in text
-        assert "column x, row 21    holds no finite number" in text
-        assert "column u_x, row 31  holds no finite number" in text
+        assert "column u_x, row 11  has no finite number" in text
+        assert "column x, row 21    has no finite number" in text
+        assert "column u_x, row 31  has no finite number" in text
 
     def test_a_long_row(self, csv):
         def change(lines):
@@ -160,7 +160,7 @@ class TestTextFiles:
         def change(lines):
             lines[0] = "t,x,x"
 
-        assert "stands 2 times in the header; give its number, 2 and 3" in message(
+        assert "is 2 times in the header; give its number, 2 and 3" in message(
             read, csv(change), inputs=["t"], outputs=["x"]
         )
 
@@ -244,7 +244,7 @@ class TestFiles:
             ("empty.csv", r"is empty \(0 bytes\)"),
             ("", "is a folder"),
             ("binary.dat", "is a binary file; give CSV"),
-            ("prose.txt", "holds no line of numbers"),
+            ("prose.txt", "has no line of numbers"),
         ]:
             with pytest.raises(InputError, match=what):
                 read(tmp_path / name)
@@ -329,10 +329,10 @@ class TestFiles:
         np.savez(tmp_path / "lengths.npz", u=U, x=X[:-3])
         np.savez(tmp_path / "objects.npz", u=np.array([{}] * N, dtype=object), x=X)
         assert "u cannot be read" in message(read, tmp_path / "objects.npz", inputs=["u"])
-        assert "is no .npy file that can be read" in message(read, tmp_path / "objects.npy")
+        assert "cannot be read as a .npy file" in message(read, tmp_path / "objects.npy")
         assert "complex numbers" in message(read, tmp_path / "complex.npy", inputs=["1"], outputs=["2"])
         assert "cut short" in message(read, tmp_path / "cut.npy")
-        assert "is no .npz file" in message(read, tmp_path / "text.npz")
+        assert "cannot be read as a .npz file" in message(read, tmp_path / "text.npz")
         scipy.io.savemat(tmp_path / "whole.mat", {"u": U, "x": X})
         (tmp_path / "cut.mat").write_bytes((tmp_path / "whole.mat").read_bytes()[:400])
         assert message(read, tmp_path / "cut.mat").count("cut short") == 1
@@ -400,7 +400,7 @@ class TestFiles:
 
     def test_matlab_that_is_none(self, tmp_path):
         (tmp_path / "a.mat").write_text("something else entirely " * 20)
-        assert "is no .mat file that can be read" in message(read, tmp_path / "a.mat")
+        assert "cannot be read as a .mat file" in message(read, tmp_path / "a.mat")
 
     def test_parquet(self, tmp_path, table):
         arrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
@@ -515,7 +515,7 @@ class TestLoggers:
         assert "did you mean u_x" in message(read, tmp_path / "a.xlsx", inputs=["u_y"])
         book.active.cell(10, 2).value = None
         book.save(tmp_path / "a.xlsx")
-        assert "u_x, row 7  holds no finite number" in message(read, tmp_path / "a.xlsx")
+        assert "u_x, row 7  has no finite number" in message(read, tmp_path / "a.xlsx")
 
     def test_sheets_are_named_where_there_are_several(self, tmp_path):
         book = openpyxl.Workbook()
@@ -582,7 +582,7 @@ class TestLoggers:
     def test_a_damaged_file_is_one_mistake(self, tmp_path, name):
         (tmp_path / name).write_bytes(b"TDSm" + bytes(range(200)))
         text = message(read, tmp_path / name)
-        assert "can be read" in text or "no array of numbers" in text
+        assert "cannot be read" in text or "no array of numbers" in text
 
 
 def test_a_time_column_has_the_limits_of_a_rate(tmp_path):
@@ -603,7 +603,7 @@ def test_a_model_given_as_a_record_is_told_by_its_name(tmp_path, name):
 def test_a_lone_header_is_shown(tmp_path):
     (tmp_path / "a.csv").write_text("time_s,u_x,x\n")
     text = message(read, tmp_path / "a.csv")
-    assert "holds one line and no numbers below it: time_s,u_x,x; export the samples, too" in text
+    assert "has one line and no numbers below it: time_s,u_x,x; export the samples, too" in text
 
 
 @pytest.mark.parametrize("cut", [False, True])
@@ -612,5 +612,5 @@ def test_a_packed_table_is_called_packed_and_a_cut_one_cut(tmp_path, cut):
     path = tmp_path / "a.csv.gz"
     path.write_bytes(packed[: len(packed) // 2] if cut else packed)
     text = message(read, path)
-    assert "is packed with gzip" in text
+    assert "is compressed with gzip" in text
     assert ("was cut short" in text) is cut

@@ -70,7 +70,7 @@ class TestRecord:
         assert "35 more gaps" in message(Record, [U], [x], 5e-3)
 
     def test_too_short(self):
-        assert "10 samples are too short" in message(Record, [U[:10]], [X[:10]], 5e-3)
+        assert "10 samples are too few" in message(Record, [U[:10]], [X[:10]], 5e-3)
 
     def test_constant_columns(self):
         text = message(Record, [0 * U + 1.5], [0 * X - 317.2], 5e-3, ("ux",), ("x",))
@@ -104,7 +104,7 @@ class TestClipping:
         last = top + int(np.argmin(clipped[top:] == level))
         text = message(Record, [U], [clipped], 5e-3, ("ux",), ("x",), "loop")
         assert f"column x, rows {top + 1} to {last}" in text
-        assert f"stands at {level:g} while the voltage goes on (2 such places)" in text
+        assert f"stays at {level:g} while the voltage moves on (2 such places)" in text
         assert "lower the amplitude or use a larger range" in text
 
     def test_clipped_below_and_second_axis(self):
@@ -172,7 +172,7 @@ class TestSeveralExperiments:
         np.save(tmp_path / "y.npy", np.outer(X, [1.0, 2.0, 3.0]))
         pair = tmp_path / "u.npy", tmp_path / "y.npy"
         assert len(read_paired_records(*pair, rate_hz=200.0)) == 1
-        assert "2 experiments, 1 periods, 400 samples against 3 experiments" in message(
+        assert "2 experiments, 1 periods, 400 samples and 3 experiments" in message(
             read_paired_records, *pair, axes=("sample", "experiment"), rate_hz=200.0
         )
         assert "shape (400, 2), but the axes are sample" in message(
@@ -227,7 +227,7 @@ class TestPairsOnTheCommandLine:
         ("words", "told"),
         [
             (["x.npy", "u.npy", "--rate", "200"], "come in pairs, first voltages"),
-            (["x.npy"], "give --rate, not --time"),
+            (["x.npy"], "use --rate instead of --time"),
             (["x.npy", "--rate", "200", "--axes", "sample,chanel"], "--axes: are sample, chanel"),
             (["x.npy", "--rate", "200", "--inputs", "w"], "there is no variable w"),
             (["x.npy", "--rate", "200", "--output-scale", "0"], "--output-scale"),

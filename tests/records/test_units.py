@@ -85,7 +85,7 @@ def test_columns_of_one_name_get_names_of_their_own(tmp_path):
         assert record.outputs == ("x", "x_2")
         np.testing.assert_allclose(record.u_v[1], 0.5 * U, atol=1e-9)
     text = message(read, path, inputs=["Volt"], outputs=["4"])
-    assert "stands 2 times in the header; give its number, 2 and 3" in text
+    assert "is 2 times in the header; give its number, 2 and 3" in text
 
 
 def test_names_stay_unique_when_their_units_become_one(tmp_path):
@@ -104,7 +104,7 @@ def test_a_rate_does_not_hide_the_gaps_of_a_time_column(tmp_path, unit, digits):
     rows = np.column_stack([np.round(TIME, digits) * unit, U, X])
     path = tmp_path / "gap.csv"
     path.write_text("t,u_x,x\n" + table_text(rows[kept]))
-    assert "about 10 samples are missing, which --rate does not mend" in message(read, path)
+    assert "about 10 samples are missing, which --rate does not repair" in message(read, path)
     path.write_text("t,u_x,x\n" + table_text(rows))
     assert read(path)[0].samples == N
     jitter = rows + np.array([1.0, 0.0, 0.0]) * 1e-3 * unit * np.random.default_rng(1).uniform(-1, 1, (N, 1))
@@ -145,7 +145,7 @@ def test_a_column_is_found_without_its_unit(tmp_path):
     path.write_text("Time [s],Vx [V],X [um],X [nm]\n0,0,0,0\n0.1,10,5,5000\n0.2,20,9,9000\n")
     columns = read_columns(path, ["time", "vx", "X [um]"])
     assert columns.names == ("Time [s]", "Vx [V]", "X [um]")
-    with pytest.raises(InputError, match="stands 2 times in the header; give its number, 3 and 4"):
+    with pytest.raises(InputError, match="is 2 times in the header; give its number, 3 and 4"):
         read_columns(path, ["Vx", "X"])
     with pytest.raises(InputError, match=r"Vy.*is not in the file"):
         read_columns(path, ["Vy"])
@@ -172,7 +172,7 @@ def test_milliseconds_taken_for_seconds_are_told_by_loops(tmp_path, capsys, fact
     loops = ["loops", str(tmp_path / "r.csv"), "--no-figures"]
     _run(loops)
     said = capsys.readouterr().err
-    assert said.count("If its times are milliseconds, name their column t_ms") == told
+    assert said.count("If its times are in milliseconds, name their column t_ms") == told
     np.savetxt(tmp_path / "r.csv", rows, delimiter=",", header=names.replace("_s", "_ms"), comments="")
     _run(loops)
     assert "milliseconds" not in capsys.readouterr().err
@@ -199,7 +199,7 @@ def test_an_output_that_jumps_alone_is_doubted(tmp_path, capsys, command, jump_u
     line = [command, str(tmp_path / "r.csv"), "--no-figures"]
     line += ["--out", str(tmp_path / "m.json")] if command == "identify" else []
     assert _ended(line) == 2
-    assert "um at row 2502, and no voltage does: cut the record there" in capsys.readouterr().err
+    assert "um at row 2502, but no voltage jumps: cut the record there" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -229,4 +229,4 @@ def test_seconds_taken_for_microseconds_are_told_and_fitted(tmp_path, capsys):
     _written(tmp_path / "r.csv", "t [us],u [V],y [um]", STEADY, DRIVEN, MOVED)
     line = ["identify", str(tmp_path / "r.csv"), "--no-figures", "--operators", "4"]
     assert _ended([*line, "--out", str(tmp_path / "m.json")]) == 0
-    assert capsys.readouterr().err.count("If its times are seconds, name their column t_s") == 1
+    assert capsys.readouterr().err.count("If its times are in seconds, name their column t_s") == 1

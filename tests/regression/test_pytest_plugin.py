@@ -96,7 +96,7 @@ def test_a_failure_shows_the_table_without_a_traceback(project: pytest.Pytester)
         [
             "large: 4 of * numbers left their tolerance",
             "  frequency_hz  amplitude_v  axis    metric  baseline  now  *",
-            "If this is intended: hammerstein check scenarios/large.toml --update-baseline",
+            "If you intended this change: hammerstein check scenarios/large.toml --update-baseline",
             "FAILED scenarios/large.toml::large - *large: 4 of *",
         ]
     )

@@ -325,7 +325,7 @@ def test_a_scenario_that_cannot_run_does_not_hide_the_others(accepted: Path) -> 
     for update in (False, True):
         result = check_files([Path("scenarios")], update=update)
         assert result.exit_code == SimulationError.exit_code
-        assert "far: could not be checked\n  far: the reference asks for 500 um" in result.text()
+        assert "far: could not be checked\n  far: the reference needs 500 um" in result.text()
         assert bool(result.findings) is not update
     changed = {name for name, data in files_in(accepted).items() if data != before.get(name)}
     assert changed == {"reports/baseline/small.json"}
@@ -392,7 +392,7 @@ def test_a_number_that_moved_is_shown_with_what_to_do() -> None:
         "circle: 1 of 12 numbers left its tolerance\n"
         "  compensator  frequency_hz  axis  metric  baseline  now      change  allowed\n"
         "  exact        50            y     rms_um  0.04127   0.04391  +6.4 %  0.1 %\n"
-        "If this is intended: hammerstein check scenarios/circle.toml --update-baseline\n"
+        "If you intended this change: hammerstein check scenarios/circle.toml --update-baseline\n"
         "spiral: 7 numbers within tolerance"
     )
 
@@ -408,7 +408,7 @@ def test_findings_of_every_kind_are_told_together() -> None:
         Finding(Kind.EXTRA_NUMBER, key, "gain", now=1.5),
     ).text()
     assert text.splitlines()[:5] == [
-        "circle: the scenario changed since its baseline was made, the actuator's model changed since the "
+        "circle: the scenario changed after its baseline was made, the actuator's model changed after the "
         "baseline was made, 1 of 12 numbers left its tolerance, 1 row is missing, 1 number is not in the "
         "baseline",
         "  frequency_hz  amplitude_v  axis    metric    baseline  now      change  allowed",
@@ -422,7 +422,7 @@ def test_a_long_table_shows_the_worst() -> None:
     many = [replace(MOVED, now=0.05 + 0.001 * i) for i in range(100)]
     lines = result_of(*many).text().splitlines()
     assert "0.149 " in lines[2]
-    assert "and 80 more; these are the worst" in lines[22]
+    assert "and 80 more; the worst are listed" in lines[22]
 
 
 def test_numbers_are_shown_with_the_digits_that_tell_them_apart() -> None:

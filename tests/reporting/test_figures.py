@@ -243,7 +243,7 @@ def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
 def test_errors_over_a_cycle_are_those_of_the_true_position() -> None:
     report = report_of(reference=SINE_UM, compensators=[NONE])
     figure = figures_of(report)["errors"]
-    assert figure.legends[0].get_title().get_text() == "True position less the reference"
+    assert figure.legends[0].get_title().get_text() == "True position minus the reference"
     (trace,) = [trace for trace in report.traces if trace.excited_axis == "x"]
     wire = trace.response
     lap = slice(0, round(0.02 / wire.sample_time_s) + 1)

@@ -230,7 +230,7 @@ def test_an_uncertain_actuator_is_told_by_its_band_first() -> None:
     assert (
         f"{number(worst.median_um)} and {number(worst.p95_um)} um with none" in answer(report).split(".  ")[0]
     )
-    assert answer(report).startswith("Over 40 drawn actuators")
+    assert answer(report).startswith("For 40 random actuators")
 
 
 def test_a_band_says_of_how_many_draws_it_is_and_what_it_holds() -> None:
@@ -303,7 +303,7 @@ def test_a_longer_sweep_is_shown_at_its_ends_and_where_models_were_identified(
     shown = [float(line[1]) for line in table.lines]
     assert len(shown) == 6
     assert {10.0, 70.0, 100.0} <= set(shown)
-    assert table.remark == "Shown are 6 of 10 frequencies; all are in `rms.csv`."
+    assert table.remark == "This table shows 6 of 10 frequencies; `rms.csv` has all."
     assert table.remark in render(report)
 
 
@@ -330,7 +330,7 @@ def test_only_columns_that_are_filled_are_explained() -> None:
     page = render(sine())
     assert "| `gain` |" in page
     assert "epsilon" not in page
-    assert "It cannot be what the paper plots" in render(circle())
+    assert "It cannot be the quantity that the paper plots" in render(circle())
 
 
 def test_figures_are_embedded_by_relative_path_in_reading_order() -> None:
@@ -341,7 +341,7 @@ def test_figures_are_embedded_by_relative_path_in_reading_order() -> None:
 
 def test_captions_speak_of_what_is_there() -> None:
     alone, modelled = report_of(drive=SINE_V), report_of(drive=SINE_V, models=[MODEL])
-    assert "broken lines are the models" in render(modelled, ["loops.svg"])
+    assert "Dark dashes show the models" in render(modelled, ["loops.svg"])
     assert "models" not in render(alone, ["loops.svg"]).split("## Numbers")[0]
     assert "wide grey line is the ideal" in render(sine(), ["loops_1_paper.svg"])
 

@@ -21,7 +21,7 @@ from hammerstein.reporting.notebook import picture_of
 
 TIME = 1e-4 * np.arange(2000)
 SINE = 8.0 * np.sin(2.0 * np.pi * 20.0 * TIME)
-README = Path(__file__).resolve().parents[2] / "README.md"
+GUIDE = Path(hammerstein.__file__).parent / "guide" / "control.md"
 
 
 @pytest.fixture(scope="module")
@@ -137,16 +137,16 @@ def test_what_has_no_picture_shows_its_text():
     assert ramp._repr_html_().startswith("<p><code>Record(")
 
 
-def test_the_example_of_the_readme_runs():
+def test_the_first_example_of_the_guide_to_python_control_runs():
     """Through ``control.interconnect``, with the error that the report of such a path shows."""
     import matplotlib.pyplot as plt
 
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
     (example,) = [block for block in blocks if "control.interconnect" in block]
     mpl.use("Agg")
     names = {}
     try:
-        exec(compile(example, "README.md", "exec"), names)
+        exec(compile(example, "control.md", "exec"), names)
     finally:
         plt.close("all")
     error = names["response"].outputs - names["reference"]
@@ -166,5 +166,7 @@ def test_a_report_and_a_fit_are_a_line_and_their_first_figure(record):
     assert "<img" not in report.without_traces()._repr_html_()
     settings = hammerstein.Settings(operators=5, partition="voltage", dynamics="none")
     _, fit = hammerstein.identify([record], settings)
-    assert re.fullmatch(r"Fit\(static_hysteresis: x [\d.]+ % of the range on the records .*\)", repr(fit))
+    assert re.fullmatch(
+        r"Fit\(static_hysteresis: x [\d.]+ % of the range on the fitted records.*\)", repr(fit)
+    )
     assert _picture(fit)[1].width > 500

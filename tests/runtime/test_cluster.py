@@ -148,7 +148,7 @@ def test_a_run_is_the_same_to_the_last_byte(folder, dask, capsys):
     assert call("run", "drawn.toml", "--out", "here", "--jobs", 1, *options) == 0
     capsys.readouterr()
     assert call("run", "drawn.toml", "--out", "there", "--cluster", dask.address, *options) == 0
-    assert f"2 workers of {dask.address} take the work" in capsys.readouterr().err
+    assert f"using 2 workers of {dask.address}" in capsys.readouterr().err
     names = sorted(path.relative_to("here") for path in Path("here").rglob("*") if path.is_file())
     assert len(names) >= 8
     assert {n: (folder / "there" / n).read_bytes() for n in names if not n.name.startswith(".")} == {
@@ -211,7 +211,7 @@ def test_a_lost_scheduler_is_told_and_what_was_finished_is_kept(folder, own_dask
     assert time.monotonic() - start < 60.0
     error = capsys.readouterr().err
     assert (code, error.count("is lost")) == (70, 1), error
-    assert f"slow: the scheduler at {own_dask.address} is lost; what was finished is kept" in error
+    assert f"slow: the scheduler at {own_dask.address} is lost; finished work is kept" in error
     assert "Traceback" not in error
     kept = list((folder / "cache/kept").rglob("??/*"))
     assert 2 <= len(kept) < 12
@@ -293,7 +293,7 @@ def test_other_versions_are_named_before_work_is_sent(dask, monkeypatch, name):
 def test_a_worker_that_joins_later_is_looked_at_as_well(dask):
     with cluster.joined(dask.address) as crew:
         crew._expected = (*crew._expected, ("numpy", "0.0.7"))
-        with pytest.raises(InputError, match=r"would not be those of this machine .*: numpy 0.0.7 here"):
+        with pytest.raises(InputError, match=r"would differ from those of this machine .*: numpy 0.0.7 here"):
             crew.submit(int, "3").result(30)
 
 
@@ -331,4 +331,4 @@ def test_it_waits_for_a_worker(own_dask):
         own_dask.workers[-1].kill()
         time.sleep(3 * cluster.LOOK_S)
     words = [str(one.message).partition(": ")[2] for one in told if one.category is Notice]
-    assert words == ["no worker is there yet; waiting for one", "no worker is left; waiting for others"]
+    assert words == ["no worker is connected yet; waiting for one", "no worker is left; waiting for others"]

@@ -124,7 +124,7 @@ def test_one_scenario_compiles_what_it_needs_and_the_next_run_nothing(tmp_path, 
 
     first = told()
     assert first.startswith("compiling ")
-    assert first.endswith(" and the other time loops that are needed; once after installation\n")
+    assert first.endswith(" and the other time loops; only after installation\n")
     assert told() == ""
     (folder,) = (tmp_path / "loops").glob("loops-*")
     assert 1 <= len(list(folder.rglob("*.nbi"))) <= most
@@ -232,4 +232,4 @@ def test_a_disk_that_is_full_keeps_no_loop_and_stops_no_run(loop, tmp_path):
     out, error = loop()
     assert out == ["42.0", "0"]
     assert error.count("\n") == 1
-    assert "cannot be kept" in error
+    assert "are not cached" in error

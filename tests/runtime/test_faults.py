@@ -204,7 +204,7 @@ def test_a_process_that_cannot_begin_is_tried_twice_and_nobody_waits_for_ever(
         futures = [processes.submit(size_of_a_result) for _ in told]
         found = [future.exception(timeout=20.0) for future in futures]
     assert tuple(error and type(error) for error in found) == told
-    assert all("could not begin, twice" in str(e) for e in found if isinstance(e, LostProcessError))
+    assert all("could not start, twice" in str(e) for e in found if isinstance(e, LostProcessError))
 
 
 def test_a_signal_without_a_name_is_told_by_its_number():

@@ -68,7 +68,7 @@ def _mistakes(tmp_path, old, new):
             'law = "none"',
             'law = "inverse_multiplicative"\ngain = [[1.0, 2.0], [3.0]]',
             "compensators[2].gain",
-            "has rows of different length",
+            "has rows of different lengths",
         ),
         ("amplitude_um = 10", "amplitude_um = 10\naxis = 'x'", "reference.axis", "a whole number or 'each'"),
         (
@@ -149,7 +149,7 @@ def test_a_model_file_names_the_pair(tmp_path):
         (
             lambda pairs: pairs[0].pop(),
             "hysteresis",
-            "pairs must hold one pair for every input of every output",
+            "pairs must hold one pair for each input of each output",
         ),
         (lambda pairs: pairs.pop(), "outputs", "names 2 outputs of 1"),
     ],
@@ -175,8 +175,8 @@ def test_a_mistake_in_an_option_names_the_option(tmp_path, capsys, csv):
         (["--sensor-delay", "-1e-5"], ("--sensor-delay", "must be 0 to 10000")),
         (["--operators", "x"], ("--operators", "must be a whole number or auto, not 'x'")),
         (["--operators", "-3"], ("--operators", "must be 1 to 200")),
-        (["--thresholds", "x"], ("--thresholds", "'x' are no voltages")),
-        (["--thresholds", "3,1"], ("--thresholds", "each larger than the one before")),
+        (["--thresholds", "x"], ("--thresholds", "'x' is no list of voltages")),
+        (["--thresholds", "3,1"], ("--thresholds", "each larger than the previous one")),
         (["--thresholds", "0,nan"], ("--thresholds", "must be 0 to 1e6")),
     ):
         with pytest.raises(SystemExit) as caught:

@@ -144,7 +144,7 @@ def test_keys_without_end_are_no_scenario(tmp_path: Path, text: str) -> None:
     path.write_text('question = "How. far. does. a. sentence. go?"\n' + text + "\n")
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match="too deep within each other"):
+        with pytest.raises(InputError, match="too deeply nested lists or tables"):
             load_scenario(path)
         assert tracemalloc.get_traced_memory()[1] < 20e6
     finally:

@@ -159,5 +159,5 @@ def test_a_table_of_more_than_50_megabytes_is_read(tmp_path):
 def test_a_table_that_the_memory_does_not_hold_is_refused(tmp_path, monkeypatch):
     place = write(tmp_path / "drive.csv", x=np.arange(100.0))
     monkeypatch.setattr("hammerstein.signals.signal_files.free_bytes", lambda: 1000.0)
-    with pytest.raises(InputError, match=r"GB of memory to read, and 1e-06 GB are free; cut it into parts"):
+    with pytest.raises(InputError, match=r"GB of memory to read, but 1e-06 GB are free; cut it into parts"):
         read_signal(place)

@@ -63,13 +63,13 @@ class HysteresisNonlinearity(control.DescribingFunctionNonlinearity):  # type: i
 
 @dataclass(frozen=True)
 class LimitCycle:
-    """A periodic motion of the loop that the describing function predicts.
+    """Limit cycle that the describing function predicts.
 
-    amplitude_v : amplitude of the voltage asked for, before the range cuts it [V]
+    amplitude_v : amplitude of the voltage before the range cuts it [V]
     frequency_hz : its frequency [Hz]
-    stable : whether motions next to it come back to it
-    angle_deg : angle between the curves -1/N(A) and H where they cross in the complex plane; a prediction
-        from curves that hardly cross is not to be trusted
+    stable : whether nearby motions return to it
+    angle_deg : angle between the curves -1/N(A) and H at their crossing in the complex plane; do not
+        trust a prediction with a small angle
     """
 
     amplitude_v: float
@@ -88,8 +88,8 @@ def limit_cycles(
 
         1 + N(A) H(jw) = 0,    u = -H v,    v = hysteresis(u cut at the range)
 
-    The crossings are those of ``control.describing_function_response``, refined until the equation holds to
-    the last digits. A discrete system is evaluated on the unit circle: its sample-and-hold is in it.
+    The crossings come from ``control.describing_function_response``, refined until the equation holds to the
+    last digits. A discrete system is evaluated on the unit circle and includes its sample-and-hold.
 
     A limit cycle is stable where a motion that grows loses, and one that shrinks gains: with a small change
     of amplitude dA the root s = jw of 1 + N(A) H(s) moves by ds = -(dN/dA H) / (N dH/ds) dA, and its real
@@ -100,8 +100,8 @@ def limit_cycles(
     nonlinearity : as ``to_describing_function`` gives it
     system : H, everything between the output of the hysteresis [um] and the voltage [V] asked for, sign
         taken off: state space or transfer function, continuous or discrete
-    amplitudes_v : rising amplitudes that are searched [V]; over the span of the nonlinearity if not given
-    frequency_hz : rising frequencies that are searched [Hz]; two decades about the corner frequencies of the
+    amplitudes_v : rising amplitudes to search [V]; the span of the nonlinearity if not given
+    frequency_hz : rising frequencies to search [Hz]; two decades about the corner frequencies of the
         system if not given
 
     Raises
@@ -118,7 +118,8 @@ def limit_cycles(
     amplitudes = _rising(searched, "amplitudes_v")
     if nonlinearity.describing_function(amplitudes[0]) == 0.0:
         raise InputError(
-            "amplitudes_v", f"begin at {amplitudes[0]:g} V, where nothing moves; begin above {low:g} V"
+            "amplitudes_v",
+            f"begin at {amplitudes[0]:g} V, where nothing moves; use amplitudes above {low:g} V",
         )
     omega = 2.0 * np.pi * _rising(loop.corners_hz() if frequency_hz is None else frequency_hz, "frequency_hz")
     # The frequency response on a grid, for python-control reads discrete systems as continuous ones here.
@@ -155,7 +156,8 @@ def _scalar(system: Any) -> Matrices:
     p, m = matrices[3].shape
     if (p, m) != (1, 1):
         raise InputError(
-            "linear system", f"has {m} inputs and {p} outputs; a describing function needs one each"
+            "linear system",
+            f"has {m} inputs and {p} outputs; a describing function needs one input and one output",
         )
     return matrices
 
@@ -189,7 +191,9 @@ class _Loop:
             poles = np.log(poles[np.abs(poles) > TINY]) / self.sample_time_s
         corners = np.abs(poles[np.abs(poles) > TINY]) / (2.0 * np.pi)
         if not len(corners):
-            raise InputError("frequency_hz", "give the frequencies to search: the system has no corner")
+            raise InputError(
+                "frequency_hz", "give the frequencies to search: the system has no corner frequency"
+            )
         high = 30.0 * float(corners.max())
         if self.sample_time_s is not None:
             high = min(high, 0.499 / self.sample_time_s)

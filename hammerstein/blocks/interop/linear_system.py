@@ -23,7 +23,10 @@ def matrices_of(system: Any) -> Matrices:
     if isinstance(system, control.FrequencyResponseData):
         raise InputError(
             "linear system",
-            "is a frequency response, which has no state; fit a transfer function or state space to it first",
+            (
+                "is a frequency response, which has no state; first fit a transfer function or a state "
+                "space to it"
+            ),
         )
     if not isinstance(system, control.StateSpace | control.TransferFunction):
         kind = type(system).__name__
@@ -44,7 +47,7 @@ def _sample_time(system: Any) -> float | None:
     if not system.isdtime(strict=True):
         return None
     if system.dt is True:
-        raise InputError("linear system", "is discrete without a sample time; give it one (dt, in s)")
+        raise InputError("linear system", "is discrete without a sample time; set its dt in s")
     return float(system.dt)
 
 
@@ -68,7 +71,7 @@ def _element(system: control.TransferFunction, output: int, input_: int) -> tupl
     if len(above) > n + 1:
         raise InputError(
             "linear system",
-            "is improper: a numerator of higher order than its denominator cannot be simulated; add poles",
+            "is improper: the order of a numerator exceeds that of its denominator; add poles",
         )
     if n == 0:
         gain = np.array([[above[0] / below[0] if len(above) else 0.0]])

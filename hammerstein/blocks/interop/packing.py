@@ -58,7 +58,7 @@ class Packing:
         """Vector (length,) of some data."""
         pieces = [leaf.numbers(_at(data, leaf.keys)) for leaf in self._leaves]
         if any(len(p) != leaf.length for p, leaf in zip(pieces, self._leaves, strict=True)):
-            raise InputError("state", "does not belong to this block: it has another number of values")
+            raise InputError("state", "does not belong to this block: the number of values differs")
         return np.asarray(np.concatenate([np.zeros(0), *pieces]) - self._origin)
 
     def unpack(self, vector: Array) -> dict[str, Any]:

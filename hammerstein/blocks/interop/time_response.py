@@ -44,7 +44,7 @@ def traces_of(
     Raises InputError where there are no inputs, or no such signal.
     """
     if data.u is None:
-        raise InputError("time response", "holds no inputs; a record needs what was fed in")
+        raise InputError("time response", "holds no inputs; a record needs the input signal")
     rows_in = _rows(data.input_labels, inputs, "input")
     rows_out = _rows(data.output_labels, outputs, "output")
     for u, y in zip(_by_trace(data.u), _by_trace(data.y), strict=True):

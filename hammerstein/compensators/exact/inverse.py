@@ -149,7 +149,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         assert isinstance(hysteresis, PrandtlIshlinskii | Asymmetric)
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         if not (np.isfinite(softening_v) and softening_v >= 0.0):
-            raise InputError("softening_v", f"must be 0 or more volts, not {softening_v:g}")
+            raise InputError("softening_v", f"must be 0 V or more, not {softening_v:g}")
         found = invertibility(hysteresis, np.array(self.range.counted), model.amplitude_v)
         self.invertibility = replace(found, inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
@@ -276,7 +276,7 @@ def _(hysteresis: Hysteresis[Any], model: HammersteinModel, *options: Any) -> Ex
 
 
 def _difference(whole: float, part: float) -> float:
-    """Give whole - part, rounded such that adding the part gives the whole, the range, again."""
+    """Return whole - part, rounded such that adding the part gives the whole, the range, again."""
     rest = whole - part
     while rest + part < whole:
         rest = math.nextafter(rest, math.inf)
@@ -290,7 +290,9 @@ class ExactInverse(Compensator):
 
     static: ClassVar[bool] = True
     law: Literal["exact_inverse"] = "exact_inverse"
-    softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
+    softening_v: Volts = Field(
+        default=0.0, description="voltage over which the drive jump at a reversal is spread"
+    )
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:

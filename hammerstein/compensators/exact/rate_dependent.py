@@ -66,9 +66,9 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         gain = float(hysteresis.loop_gain().max())
         if gain >= 1.0 and not run_anyway:
             raise SimulationError(
-                "The inverse of this rate-dependent model rings up: its loop through the rate has "
-                f"{gain:.3g} times the gain at which it is still stable. Identify with a lower bandwidth of "
-                "the rate or smaller growth, or set run_anyway = true."
+                "The inverse of this rate-dependent model is unstable: its loop through the rate has "
+                f"{gain:.3g} times the gain of the stability limit. Identify with a lower bandwidth "
+                "of the rate or smaller growth, or set run_anyway = true."
             )
         self._design = self._new_design()
         history = self.range.history()
@@ -91,8 +91,8 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         """Say whether there is an inverse, and how far it is from ringing."""
         gain = float(self.hysteresis.loop_gain().max())
         return (
-            f"{self.invertibility.statement()} Its loop through the rate has {gain:.3g} times "
-            "the gain at which it would ring up."
+            f"{self.invertibility.statement()} Its loop through the rate has {gain:.3g} times the "
+            "gain of the stability limit."
         )
 
     def rest(self) -> RateInverseState:

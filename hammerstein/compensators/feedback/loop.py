@@ -35,7 +35,7 @@ class Gains:
     sensitivity: float | None = None
 
     def scaled(self, factor: float) -> Gains:
-        """Give all gains times a factor; what was computed for the old ones is dropped."""
+        """Return all gains times a factor; what was computed for the old ones is dropped."""
         return Gains(factor * self.proportional, factor * self.integral_per_s, factor * self.derivative_s)
 
     def statement(self) -> str:
@@ -198,7 +198,7 @@ class FeedbackLoop(ByValue):
         least = float(np.diagonal(self.slopes, axis1=1, axis2=2).min())
         if least <= 0.0:
             return (
-                f"the slope of the hysteresis falls to {least:.3g} of its gain; what is stable for one sign "
-                "is unstable for the other. Identify at a lower frequency, or with the dynamics."
+                f"the slope of the hysteresis falls to {least:.3g} of its gain, and no gain is stable "
+                "for both signs. Identify at a lower frequency, or with dynamics."
             )
-        return "the loop gain of the model is wrong in sign, or its dynamics are not those of an actuator."
+        return "the loop gain of the model has the wrong sign, or its dynamics are not those of an actuator."

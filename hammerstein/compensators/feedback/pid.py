@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ControllerState(Memory):
-    """Memory of the controller, a row an output: see the columns of ``feedback_kernel``."""
+    """Memory of the controller, a row for each output: see the columns of ``feedback_kernel``."""
 
     memory: Array
 
@@ -107,7 +107,7 @@ class FeedbackController(Controller[ControllerState]):
         p, step = self.n_outputs, self.sample_time_s
         gains = (self.gains.proportional, self.gains.integral_per_s, self.gains.derivative_s)
         if any(np.shape(gain) != (p,) or not np.isfinite(gain).all() for gain in gains):
-            raise InputError("gains", f"give {p} finite values for each gain, one an output")
+            raise InputError("gains", f"give {p} finite values for each gain, one for each output")
         a = 2.0 * math.pi * sensor_bandwidth_hz * step
         pole = math.exp(-a)
         ramp = (1.0 - pole) / a if math.isfinite(a) else 0.0
@@ -177,7 +177,7 @@ class FeedbackController(Controller[ControllerState]):
         return int(getattr(self.feedforward, "delay_samples", 0))
 
     def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
-        """Give the controller, with its feedforward, as a discrete ``control.NonlinearIOSystem``.
+        """Return the controller, with its feedforward, as a discrete ``control.NonlinearIOSystem``.
 
         Inputs are ``reference_um[o]`` and ``reading_um[o]``, outputs ``requested_v[k]``. A feedforward with
         preview takes the reference that much earlier than the reading it is compared with;
@@ -338,8 +338,8 @@ def _computed(
     if isinstance(model.dynamics, StaticDynamics):
         raise InputError(
             "feedback",
-            "the model has no dynamics, so no gain can be computed from it that is known to be stable; "
-            'identify the dynamics too (method = "hammerstein"), or give the gains',
+            "the model has no dynamics, so no stable gain can be computed; identify the dynamics too "
+            '(method = "hammerstein"), or give the gains',
         )
     block, p = discretise(model.dynamics, sample_time_s, sensor_bandwidth_hz), model.hysteresis.n_outputs
     reading = LinearBlock(block.A, block.B, block.C[p:], block.D[p:], sample_time_s)
@@ -365,23 +365,30 @@ class Feedback(Compensator):
 
     law: Literal["feedback"] = "feedback"
     feedforward: Literal["none", "exact_inverse", "hammerstein_inverse"] | None = Field(
-        default=None, description="law whose drive is added, built from the same model"
+        default=None, description="feedforward law whose drive is added, from the same model"
     )
-    derivative: bool = Field(default=False, description="compute a derivative gain too")
-    proportional: tuple[Gain, ...] | None = Field(default=None, description="gain of each output")
+    derivative: bool = Field(default=False, description="also compute a derivative gain")
+    proportional: tuple[Gain, ...] | None = Field(
+        default=None, description="proportional gain of each output"
+    )
     integral_per_s: tuple[Gain, ...] | None = Field(
         default=None,
-        description="integral gain of each axis, 1/s times the proportional unit; designed if not given",
+        description=(
+            "integral gain of each axis, 1/s times the unit of the proportional gain; tuned if omitted"
+        ),
     )
     derivative_s: tuple[Gain, ...] | None = Field(
-        default=None, description="derivative gain of each axis, s times the proportional unit"
+        default=None,
+        description=(
+            "derivative gain of each axis, s times the unit of the proportional gain; tuned if omitted"
+        ),
     )
 
     @model_validator(mode="after")
     def _gains_come_together(self) -> Self:
         given = [self.proportional, self.integral_per_s, self.derivative_s]
         if any(gain is not None for gain in given) and (given[0] is None or given[1] is None):
-            raise ValueError("give proportional and integral_per_s together, or none of the gains")
+            raise ValueError("give proportional and integral_per_s together, or omit all gains")
         return self
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> FeedbackController:

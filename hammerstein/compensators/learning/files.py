@@ -59,7 +59,10 @@ def _taught(
     drive = _drive_of(trial[0], design.model, samples)
     _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST, units=units)
     if resampled:
-        raise InputError(str(trial[1]), f"is not sampled every {time_s:g} s, as the drive is; record it so")
+        raise InputError(
+            str(trial[1]),
+            f"is not sampled every {time_s:g} s like the drive; record it at this sample time",
+        )
     bandwidth = design.model.instruments.sensor.bandwidth_hz
     try:
         found = ilc_update(
@@ -78,8 +81,8 @@ def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:
     wanted = [column("drive", name, "v") for name in model.inputs]
     missing = [name for name in wanted if name not in names]
     if missing:
-        raise InputError(str(path), f"has no column {missing[0]}; give the drive file that was played")
+        raise InputError(str(path), f"has no column {missing[0]}; give the drive file of this trial")
     drive = np.ascontiguousarray(values[[names.index(name) for name in wanted]])
     if drive.shape[1] != samples:
-        raise InputError(str(path), f"has {drive.shape[1]} rows; a period of the path has {samples}")
+        raise InputError(str(path), f"has {drive.shape[1]} rows, but a period of the path has {samples}")
     return drive

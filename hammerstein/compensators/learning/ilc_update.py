@@ -62,7 +62,7 @@ class IlcUpdate:
         return self.before is not None and self.worse_than(self.before)
 
     def after(self, before: IlcUpdate, drive_v: Array) -> IlcUpdate:
-        """Give the update beside that of the trial before, whose drive (m, N) is kept if this is worse."""
+        """Return the update beside that of the trial before, whose drive (m, N) is kept if this is worse."""
         return replace(self, before=before, drive_v=drive_v if self.worse_than(before) else self.drive_v)
 
     def worse_than(self, before: IlcUpdate) -> bool:
@@ -73,23 +73,23 @@ class IlcUpdate:
     def statement(self) -> str:
         """Say what the error was, and whether to go on."""
         found = (
-            f"Error of this trial {self.error_rms_um:.3g} um rms, noise of its mean {self.noise_um:.2g} um."
+            f"Rms error of this trial {self.error_rms_um:.3g} um, noise of its mean {self.noise_um:.2g} um."
         )
         if self.before is not None:
             better = self.before.worse_than(self)
-            found += f" The trial before: {self.before.error_rms_um:.3g} um rms; this one is "
-            found += "better." if better else "worse." if self.worse else "alike within the noise."
+            found += f"The previous trial: {self.before.error_rms_um:.3g} um rms; this trial is "
+            found += "better." if better else "worse." if self.worse else "equal within the noise."
         if self.worse:
-            return f"{found} Stop: the drive of the trial before is kept."
+            return f"{found} Stop: the drive of the previous trial is kept."
         if self.finished:
-            return f"{found} What is left is the sensor's noise: keep this drive."
+            return f"{found} Only sensor noise remains: keep this drive."
         limit = (
             "" if np.isinf(self.limit_hz) else f" Above {self.limit_hz:.4g} Hz the model is too uncertain."
         )
         return (
-            f"{found} Learnt at {self.learnt} lines of the spectrum. An actuator within the stated "
-            f"deviations of its model leaves at most {self.slowest:.2g} of the error there after the next "
-            f"trial.{limit}"
+            f"{found} Learnt at {self.learnt} lines of the spectrum. If the actuator is within the "
+            f"stated deviations of its model, at most {self.slowest:.2g} of the error at these lines "
+            f"remains after the next trial.{limit}"
         )
 
 
@@ -198,8 +198,8 @@ def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:
     if measured_um.shape[1] % samples or periods < LEAST_PERIODS:
         raise InputError(
             MEASURED,
-            f"has {measured_um.shape[1]} samples; give whole periods of {samples}, {LEAST_PERIODS} or more, "
-            "recorded when the path had settled",
+            f"has {measured_um.shape[1]} samples; give whole periods of {samples} samples, "
+            f"{LEAST_PERIODS} or more, recorded after the path has settled",
         )
     each = measured_um.reshape(len(measured_um), periods, samples)
     mean = each.mean(axis=1)

@@ -57,7 +57,7 @@ class LearnedLaw(Learner):
 
     def statement(self) -> str:
         """Say what its inverse says, and that a sensor must be there."""
-        own = "Each trial after the first needs the sensor's readings of the one before."
+        own = "Each trial after the first needs the sensor readings of the previous one."
         return f"{own} {self.inverse.statement()}".strip()
 
 
@@ -66,18 +66,18 @@ class Learned(Compensator):
 
     law: Literal["learned"] = "learned"
     inverse: Literal["exact_inverse", "hammerstein_inverse"] = Field(
-        default="hammerstein_inverse", description="law that gives the drive of a path"
+        default="hammerstein_inverse", description="law that computes the drive of a path"
     )
     filter_hz: Frequency | None = Field(
         default=None, description="bandwidth of the reference filter of hammerstein_inverse"
     )
     weights: Deviation = Field(
-        default=WEIGHTS, description="relative standard deviation of the weights of the model"
+        default=WEIGHTS, description="relative standard deviation of the model's weights"
     )
     resonance: Deviation = Field(
-        default=RESONANCE, description="relative standard deviation of its resonances"
+        default=RESONANCE, description="relative standard deviation of the model's resonances"
     )
-    trial: Trial = Field(default=5, description="which trial is measured; the first is without learning")
+    trial: Trial = Field(default=5, description="number of the measured trial; the first is without learning")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> LearnedLaw:
         """Build the learner, see ``Compensator.design``."""

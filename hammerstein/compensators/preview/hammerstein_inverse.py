@@ -153,14 +153,14 @@ class HammersteinInverseLaw(Law[PathState]):
         samples = "1 sample" if ahead == 1 else f"{ahead} samples"
         if ahead != self.linear.preview_samples or self.delay_samples:
             parts.append(
-                f"With its filter the reference must be known {samples} ahead "
+                f"With its filter, the law needs the reference {samples} ahead "
                 f"({ahead * self.sample_time_s:.3g} s)"
-                + (f"; the position follows it {self.delay_s:.3g} s late." if self.delay_samples else ".")
+                + (f"; the position is {self.delay_s:.3g} s late." if self.delay_samples else ".")
             )
         if not self.delay_samples:
             parts.append(
-                f"Where a path starts away from rest, its start needs the first {self.start_samples} samples "
-                f"of the path ({self.start_samples * self.sample_time_s:.3g} s)."
+                f"If a path starts away from rest, its start needs the first {self.start_samples} "
+                f"samples of the path ({self.start_samples * self.sample_time_s:.3g} s)."
             )
         return " ".join(parts)
 
@@ -227,8 +227,8 @@ class HammersteinInverseLaw(Law[PathState]):
         if samples <= needed:
             raise InputError(
                 "reference",
-                f"has {samples} samples, but the law looks {needed} samples ahead; give a longer reference "
-                "or a filter of more bandwidth (filter_hz)",
+                f"has {samples} samples, but the law looks {needed} samples ahead; give a longer "
+                "reference or a filter with more bandwidth (filter_hz)",
             )
         longest = len(self.taps) - 1
         ends = np.pad(reference, ((0, 0), (longest // 2, needed)), mode="reflect", reflect_type="odd")
@@ -288,19 +288,21 @@ def _recovery(block: LinearBlock) -> Recovery:
 
 
 class HammersteinInverse(Compensator):
-    """The inverse of the dynamics, known ahead, then the exact inverse of the static block.
+    """Inverse of the dynamics with preview, then exact inverse of the hysteresis.
 
-    Dynamics with hysteresis in their loop are inverted in passes, see ``LoopInverseLaw``.
+    Dynamics with hysteresis in their loop are inverted iteratively, see ``LoopInverseLaw``.
     """
 
     law: Literal["hammerstein_inverse"] = "hammerstein_inverse"
     preview_s: Wait | None = Field(
-        default=None, description="how far ahead the reference is known; as far as needed if not given"
+        default=None, description="how far ahead the reference is known; as far as needed if omitted"
     )
     filter_hz: Frequency | None = Field(
         default=None, description="bandwidth of a reference filter, for references that are not smooth"
     )
-    softening_v: Volts = Field(default=0.0, description="voltage over which the jump at a reversal is spread")
+    softening_v: Volts = Field(
+        default=0.0, description="voltage over which the drive jump at a reversal is spread"
+    )
     run_anyway: bool = Field(default=False, description="accept a model without an inverse")
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:

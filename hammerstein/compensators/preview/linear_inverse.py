@@ -167,8 +167,8 @@ def _require_stable(block: LinearBlock) -> None:
     poles = np.abs(np.linalg.eigvals(block.A)) if len(block.A) else np.zeros(1)
     if poles.max() >= 1.0:
         raise SimulationError(
-            f"The linear block is not stable (a pole at |z| = {poles.max():.6g}): no drive computed ahead "
-            "can hold it. Close a loop around it first, or identify it again."
+            f"The linear block is not stable (a pole at |z| = {poles.max():.6g}), so no drive "
+            "computed in advance can control it. Close a loop around it first, or identify it again."
         )
 
 
@@ -187,7 +187,7 @@ def _first_reaction(block: LinearBlock) -> tuple[Indices, Array, Array]:
         moving = np.flatnonzero(sizes[:, i] > NEGLIGIBLE * max(float(sizes[:, i].max()), 1e-300))
         if len(moving) == 0:
             raise SimulationError(
-                f"Output {i + 1} of the linear block does not react to any input: no inverse."
+                f"Output {i + 1} of the linear block responds to no input, so there is no inverse."
             )
         ahead[i] = moving[0]
         first[i] = reactions[moving[0]][i]
@@ -196,9 +196,9 @@ def _first_reaction(block: LinearBlock) -> tuple[Indices, Array, Array]:
     if np.linalg.cond(scaled) > 1.0 / NEGLIGIBLE:
         delays = ", ".join(str(d) for d in ahead)
         raise SimulationError(
-            f"The outputs of the linear block first react, after {delays} samples, to the same combination "
-            "of inputs: it has no inverse by simple advances. Identify one delay for all axes "
-            "(input_delay_s), or reduce the model's order."
+            f"After {delays} samples, the outputs of the linear block first respond to the same "
+            "combination of inputs, so there is no inverse by simple advances. Identify one delay "
+            "for all axes (input_delay_s), or reduce the model's order."
         )
     return ahead, first, free
 
@@ -239,9 +239,9 @@ def _backward(a: Array, b: Array, lift: Array, c: Array, block: LinearBlock) -> 
             return np.array(rows)
         power = inverse @ power
     raise SimulationError(
-        f"The linear block has a zero at |z| = {radius:.9g}, on the unit circle or just outside: its inverse "
-        f"would need more than {LONGEST_PREVIEW * block.sample_time_s:.3g} s of preview. Reduce the order of "
-        "the model, or compensate without its dynamics."
+        f"The linear block has a zero at |z| = {radius:.9g}, on the unit circle or just outside. Its "
+        f"inverse would need more than {LONGEST_PREVIEW * block.sample_time_s:.3g} s of preview. "
+        "Reduce the order of the model, or compensate without its dynamics."
     )
 
 
@@ -252,6 +252,6 @@ def _require_accurate(inverse: LinearInverse) -> None:
     error = float(np.abs(both - np.eye(inverse.block.n_outputs)).max())
     if not error < 1e-5:
         raise SimulationError(
-            f"The inverse of the linear block loses itself in rounding (error {error:.2g}): the model's "
+            f"Rounding errors spoil the inverse of the linear block (error {error:.2g}): the model's "
             "matrices are badly scaled or its order is too high. Reduce the order."
         )

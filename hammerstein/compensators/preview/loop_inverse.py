@@ -99,7 +99,7 @@ class LoopInverseLaw(Law[LoopPathState]):
         self.sample_time_s: float = sample_time_s
         if self.range.history().shape[1] > 1:
             raise InputError(
-                "start", "hysteresis in the loop is inverted from rest at the working point alone"
+                "start", "hysteresis in the loop is only inverted from rest at the working point"
             )
         delay, late_s = split_delay(model.dynamics.input_delay_s, sample_time_s)
         plain = on_grid(model.dynamics.model_copy(update={"input_delay_s": late_s}), sample_time_s)
@@ -118,8 +118,9 @@ class LoopInverseLaw(Law[LoopPathState]):
         ahead = self.preview_samples
         return (
             f"{self.exact.invertibility.statement()} The hysteresis in the loop is inverted in "
-            f"{self.passes} passes, which leave {self.left:.1g} of a slow path. The reference must be known "
-            f"{ahead} samples ahead ({ahead * self.sample_time_s:.3g} s) and start at rest (--lead-in)."
+            f"{self.passes} iterations, with an error of {self.left:.1g} of a slow path. The "
+            f"reference must be known {ahead} samples ahead ({ahead * self.sample_time_s:.3g} s) and "
+            "start at rest (--lead-in)."
         )
 
     def rest(self) -> LoopPathState:
@@ -189,8 +190,8 @@ class LoopInverseLaw(Law[LoopPathState]):
         best = min(found, key=lambda one: one[2])
         if not best[2] < 1.0:
             raise SimulationError(
-                "The hysteresis in the loop is too strong for passes of linearisation: they lead away from a "
-                "slow path. Use law none, with feedback or learning around it"
+                "The hysteresis in the loop is too strong for an inverse by iterations: they diverge "
+                "on a slow path. Use law none, with feedback or learning around it"
             )
         return best
 

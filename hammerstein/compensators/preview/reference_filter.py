@@ -20,15 +20,16 @@ def low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
     nyquist = 0.5 / sample_time_s
     if not 0.0 < filter_hz < nyquist / 1.3:
         raise InputError(
-            "filter_hz", f"must lie between 0 and {nyquist / 1.3:g} Hz at this sample time, not {filter_hz:g}"
+            "filter_hz",
+            f"must be between 0 and {nyquist / 1.3:g} Hz at this sample time, not {filter_hz:g}",
         )
     length, beta = kaiserord(66.0, 0.6 * filter_hz / nyquist)
     if length > LONGEST_FILTER:
         least = filter_hz * length / LONGEST_FILTER
         raise InputError(
             "filter_hz",
-            f"{filter_hz:g} Hz needs a filter of {length:.3g} samples of {sample_time_s:g} s, and "
-            f"{LONGEST_FILTER} are the most; use {least:.3g} Hz or more, or a longer sample time",
+            f"{filter_hz:g} Hz needs a filter of {length:.3g} samples of {sample_time_s:g} s, but at "
+            f"most {LONGEST_FILTER} are allowed; use {least:.3g} Hz or more, or a longer sample time",
         )
     return np.asarray(firwin(length | 1, filter_hz / nyquist, window=("kaiser", beta)), dtype=np.float64)
 

@@ -64,8 +64,9 @@ class LoopFit:
         """Say how good it is, and against which rival."""
         h, plays = self.found.r.shape
         return (
-            f"order {len(self.found.B)}, {h} paths of {plays} plays, {self.found.K.shape[1]} products: "
-            f"{self.held_um:.4g} um rms of experiments held back; linear dynamics {self.linear_um:.4g} um"
+            f"order {len(self.found.B)}, {h} paths of {plays} plays, {self.found.K.shape[1]} "
+            f"products: {self.held_um:.4g} um rms on the selection experiments; linear dynamics "
+            f"{self.linear_um:.4g} um"
         )
 
 
@@ -101,8 +102,9 @@ def identify_in_loop(
         fit = work.resumed(ready, pool) if kept is not None and kept.is_file() else work.chosen(ready, pool)
     if not fit.held_um < fit.linear_um:
         raise IdentificationError(
-            f"hysteresis in the loop leaves {fit.held_um:.4g} um of what is held back, linear dynamics "
-            f"alone {fit.linear_um:.4g} um: it is worth nothing here. Identify without --hysteresis-in-loop"
+            f"hysteresis in the loop has an error of {fit.held_um:.4g} um on the selection "
+            f"experiments, linear dynamics alone {fit.linear_um:.4g} um: it does not improve the "
+            "model. Identify without --hysteresis-in-loop"
         )
     largest, one = max(float(np.abs(r.u_v).max()) for r in ready), ready[0]
     return fit.found.model(name, one.sample_time_s, largest, one.inputs, one.outputs), fit
@@ -147,7 +149,9 @@ class _Work:
         def tell(progress: Progress) -> None:
             nonlocal trial
             now = _rms(progress.found, held, pool)
-            self.tell(f"{len(begun.r)} paths, step {progress.step}: {now:.4g} um of what is held back")
+            self.tell(
+                f"{len(begun.r)} paths, step {progress.step}: {now:.4g} um on the selection experiments"
+            )
             if now < trial.held_um:
                 trial = LoopFit(progress.found, now, best.linear_um, progress.step + 1)
                 if now < GAINED * best.held_um:
@@ -182,8 +186,8 @@ class _Work:
         found = LoopParameters.load(self.kept)
         more = json.loads(self.kept.read_text(encoding="utf-8")).get("search", {})
         if more.get("of") != self.digest:
-            raise InputError(str(self.kept), "is the search of other records; remove it to begin anew")
-        self.tell("going on with the search that was interrupted")
+            raise InputError(str(self.kept), "belongs to a search on other records; remove it to start again")
+        self.tell("continuing the interrupted search")
         periods = _periods(records, _linear(records, len(found.B)))
         return self._all(LoopFit(found, more["held_um"], more["linear_um"], more["steps"]), periods, pool)
 
@@ -215,11 +219,12 @@ def _band(
 def _refuse(records: Sequence[Record]) -> None:
     if len(records) < FEWEST:
         raise IdentificationError(
-            f"hysteresis in the loop takes {FEWEST} experiments, for some are held back; there "
-            f"{'is' if len(records) == 1 else 'are'} {len(records)}. Record more, at several amplitudes"
+            f"hysteresis in the loop needs {FEWEST} experiments, because some select the structure; "
+            f"there {('is' if len(records) == 1 else 'are')} {len(records)}. Record more, at several "
+            "amplitudes"
         )
     if len({record.sample_time_s for record in records}) > 1:
-        raise InputError("records", "have several sample times; resample them to one")
+        raise InputError("records", "have several sample times; resample them to the same sample time")
 
 
 def _linear(records: Sequence[Record], order: int | None) -> LinearBlock:

@@ -56,12 +56,12 @@ class LoopParameters:
     factors: Indices
 
     def vector(self) -> Array:
-        """Give all that is searched (P,): entries, weights, and logarithms of thresholds."""
+        """Return all that is searched (P,): entries, weights, and logarithms of thresholds."""
         parts = [getattr(self, name).ravel() for name in SEARCHED]
         return np.concatenate([*parts, np.log(self.r).ravel()])
 
     def at(self, vector: Array) -> LoopParameters:
-        """Give the block whose ``vector`` this is."""
+        """Return the block whose ``vector`` this is."""
         found, first = {}, 0
         for name in SEARCHED:
             like = getattr(self, name)
@@ -96,7 +96,7 @@ class LoopParameters:
         return source.astype(np.int64), target.astype(np.int64)
 
     def full(self) -> Array:
-        """Give A (n, n)."""
+        """Return A (n, n)."""
         n = len(self.B)
         found = np.zeros((n, n))
         for b, block in enumerate(self.A):
@@ -104,7 +104,7 @@ class LoopParameters:
         return found
 
     def path(self, u: Array, warm: int) -> tuple[Array, np.ndarray[Any, Any]]:
-        """Give path and hits of a periodic input (m, N); see ``kernels.follow``."""
+        """Return path and hits of a periodic input (m, N); see ``kernels.follow``."""
         (n, m), (h, plays) = self.B.shape, self.r.shape
         path = np.empty((warm + u.shape[1], n + m + h + h * plays + self.K.shape[1] + h + 1))
         hits = np.empty((len(path), h, plays), dtype=np.int8)
@@ -150,7 +150,7 @@ class LoopParameters:
         return np.concatenate([(turned * part).real.ravel() for part in zeros.values()])
 
     def dynamics(self, sample_time_s: float) -> FeedbackHysteresisDynamics:
-        """Give the block as the dynamics of a model."""
+        """Return the block as the dynamics of a model."""
         none, h = Pair(np.zeros(1), np.zeros(1)), range(len(self.r))
         pairs = tuple(tuple(self._pair(i) if i == k else none for k in h) for i in h)
         matrices = {name: getattr(self, name) for name in "BCDEFG"} | {"A": self.full()}
@@ -177,7 +177,9 @@ class LoopParameters:
         """
         m, p = len(inputs), len(outputs)
         if m != p:
-            raise InputError("records", f"have {m} inputs and {p} outputs; a loop takes as many of both")
+            raise InputError(
+                "records", f"have {m} inputs and {p} outputs; hysteresis in the loop needs equal numbers"
+            )
         zero, one = (Pair(np.zeros(1), np.array([w])) for w in (0.0, 1.0))
         pairs = tuple(tuple(one if i == k else zero for k in range(m)) for i in range(p))
         dynamics = self.dynamics(sample_time_s)
@@ -208,5 +210,5 @@ class LoopParameters:
             numbers["factors"] = numbers["factors"].reshape(-1, 3).astype(np.int64)
             numbers["K"] = numbers["K"].reshape(len(numbers["r"]), -1)
         except (KeyError, TypeError, ValueError):
-            raise InputError(str(file), f"is no {WHAT}; begin the search anew") from None
+            raise InputError(str(file), f"is no {WHAT}; start the search again") from None
         return cls(**numbers)

@@ -66,7 +66,7 @@ class Search:
         pool: Executor,
         tell: Callable[[Progress], None] = lambda progress: None,
     ) -> LoopParameters:
-        """Give the best numbers found; what ``tell`` raises ends the search."""
+        """Return the best numbers found; what ``tell`` raises ends the search."""
         found, mu = start, self.damping
         errors = self._errors(found, periods, pool)
         scale = PENALTY * np.sqrt(sum(float((e * e).sum()) for e in errors))

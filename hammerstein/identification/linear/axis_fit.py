@@ -60,7 +60,7 @@ class AxisFit:
     unsure: AxisFit | None = None
 
     def with_errors(self, errors: Array) -> AxisFit:
-        """Give the same with the standard errors of ``axis.free`` (number,)."""
+        """Return the same with the standard errors of ``axis.free`` (number,)."""
         known = iter((100.0 * errors).tolist())
         resonance, lag = self.axis.resonance_hz is not None, self.axis.lag_s is not None
         return replace(
@@ -170,7 +170,7 @@ class AxesFit:
     delay_samples: float
 
     def dynamics(self, sample_time_s: float) -> AxesDynamics:
-        """Give the linear block of the model."""
+        """Return the linear block of the model."""
         axes = tuple(fit.axis for fit in self.axes)
         return AxesDynamics(axes=axes, input_delay_s=self.delay_samples * sample_time_s)
 

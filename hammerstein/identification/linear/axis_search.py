@@ -72,7 +72,7 @@ class FirstGuess:
     free_delay: bool = False
 
     def dynamics(self) -> AxesDynamics:
-        """Give the axes, without delay."""
+        """Return the axes, without delay."""
         return AxesDynamics(axes=tuple(map(axis_of, self.shapes, self.parameters)))
 
     @property
@@ -126,7 +126,7 @@ def search_axes(
     shapes = tuple(one.shape for one in tasks)
     if delay_samples is not None or len({record.sample_time_s for record in records}) > 1:
         return FirstGuess(shapes, tuple(begins), delay_samples or 0)
-    tell("searching the delay")
+    tell("estimating the delay")
     delay, found = best_delay(partial(refined_late, tasks), begins)
     return FirstGuess(shapes, tuple(found), delay, free_delay=True)
 

@@ -60,8 +60,8 @@ def fit_linear(
     m, p = len(records[0].u_v), len(records[0].y_um)
     if m > p:
         raise IdentificationError(
-            f"a state-space block behind a static one with {p} outputs cannot respond to {m} inputs; "
-            "use second_order dynamics, or measure more outputs"
+            f"a state-space block after a static block with {p} outputs cannot use {m} inputs; use "
+            "second_order dynamics, or measure more outputs"
         )
     response = measured_response(records)
     block = fit_state_space(response, order, progress=progress)

@@ -57,7 +57,7 @@ def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tup
     weights, _, rank, _ = np.linalg.lstsq(columns.T, y_um, rcond=1e-12)
     if rank < len(columns) or weights[0] <= 0.0:
         raise IdentificationError(
-            f"a slow record of {span:g} s does not tell {modes} creep modes apart; record longer or fit fewer"
+            f"a slow record of {span:g} s does not identify {modes} creep modes; record longer or fit fewer"
         )
     order = np.argsort(found.x)
     gains = weights[1:-1] / weights[0]

@@ -31,18 +31,18 @@ HANN_OVERLAP = 18.0 / 19.0
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """Response of p outputs to m inputs at F lines, and how far it can be trusted.
+    """Frequency response of p outputs to m inputs at F lines, with its uncertainty.
 
     Parameters
     ----------
     frequency_hz : (F,) lines [Hz], increasing
     response : (p, m, F) complex gain [output / input], for example [um/V]
-    coherence : (p, F) multiple coherence: part of an output's power that the inputs explain linearly
+    coherence : (p, F) multiple coherence: fraction of an output's power that the inputs explain linearly
     input_power : (m, m, F) mean of U U^H over the experiments [input^2]
     residual_power : (p, F) output power that the inputs do not explain: noise and distortion [output^2];
-        with no more experiments than inputs only the noise between periods, or 0, can be told
+        if there are only as many experiments as inputs, the noise between periods, or 0
     sample_time_s : time between two samples of the records [s]
-    variance : (p, m, F) variance of ``response`` due to that residue; None where nothing is left to judge by
+    variance : (p, m, F) variance of ``response`` due to this residue; None if it cannot be estimated
     noise_variance : (p, F) variance of the averaged output spectrum due to noise alone, from the differences
         between periods [output^2]; None for a single period or for excitation that is not periodic
     """
@@ -95,22 +95,22 @@ def frequency_response(
 
         G(f) = S_yu(f) S_uu(f)^-1,   S_yu = mean of Y U^H,   S_uu = mean of U U^H      (H1)
 
-    Periodic excitation (``period_samples`` given): one spectrum an experiment, from the mean of its whole
-    periods in steady state, at the lines that are excited. No leakage, so noise-free data give the response
-    exactly. As many experiments as inputs are needed, for example orthogonal multisines or one input driven
-    at a time.
+    Periodic excitation (``period_samples`` given): each experiment gives one spectrum, from the mean of its
+    whole periods in steady state, at the excited lines. There is no leakage, so noise-free data give the
+    exact response. It needs as many experiments as inputs, for example orthogonal multisines or one input
+    driven at a time.
 
-    Other excitation (``period_samples`` absent): Hann segments overlapping by half. The two lowest lines hold
-    the offset and are left out. Segments must be several times longer than the
-    slowest ringing: a shorter one flattens the resonance.
+    Other excitation (``period_samples`` absent): Hann segments that overlap by half. The two lowest lines
+    hold the offset and are excluded. Segments must be several times longer than the slowest ringing; shorter
+    ones flatten the resonance.
 
     Parameters
     ----------
-    u : (m, sample), or one such array an experiment
-    y : (p, sample), or one such array an experiment
+    u : (m, sample), or one such array for each experiment
+    y : (p, sample), or one such array for each experiment
     sample_time_s : time between two samples [s]
     period_samples : length of one period [samples]; periods are counted from the end of each experiment
-    settle_periods : periods at the start of each experiment to leave out, until its transient has gone
+    settle_periods : excluded periods at the start of each experiment, for its transient
     segment_samples : length of one segment [samples]; a ninth of the shortest experiment, at least 32 and
         at most 8192, if not given
     band_hz : lowest and highest line to keep [Hz]
@@ -121,7 +121,7 @@ def frequency_response(
 
     Raises
     ------
-    InputError : shapes that do not fit, values that are not finite, a period or segment that does not fit in
+    InputError : wrong shapes, values that are not finite, a period or segment that does not fit
     IdentificationError : an input never driven; inputs that always move together; too little data
 
     References
@@ -151,7 +151,7 @@ def _experiments(
     inputs, outputs = _arrays(u), _arrays(y)
     if len(inputs) != len(outputs) or not inputs:
         raise InputError(
-            "records", f"{len(inputs)} experiments of inputs, {len(outputs)} of outputs; pair them"
+            "records", f"{len(inputs)} experiments of inputs, {len(outputs)} of outputs; give equally many"
         )
     m, p = len(inputs[0]), len(outputs[0])
     for i, (a, b) in enumerate(zip(inputs, outputs, strict=True), start=1):
@@ -183,7 +183,7 @@ def _periods(
         raise InputError(
             "period_samples",
             f"a period of {period} samples after {settle} settling periods does not fit into "
-            f"{shortest} samples; give the true period (at least 4) and settle for fewer periods",
+            f"{shortest} samples; give the true period (at least 4) and fewer settling periods",
         )
     lines = np.arange(1, (period + 1) // 2)  # neither the mean nor the Nyquist line
     U = [_period_spectra(u, period, settle)[..., lines] for u in inputs]
@@ -247,15 +247,15 @@ def _separable_lines(blocks: _Blocks, band_hz: tuple[float, float] | None) -> ND
     still = np.flatnonzero(power.max(axis=0) == 0.0)
     if still.size:
         raise IdentificationError(
-            f"{_named(still)} never driven, so nothing can be said about it: drive it, or leave it out"
+            f"{_named(still)} never driven and therefore not identifiable: drive it, or remove it"
         )
     low, high = band_hz or (0.0, np.inf)
     band = (f >= low) & (f <= high)
     lines = np.flatnonzero(band & np.all(power >= EXCITED * power.max(axis=0), axis=1))
     if not lines.size:
         raise IdentificationError(
-            f"no line between {max(low, f[0]):g} and {min(high, f[-1]):g} Hz is excited by every input: "
-            "drive all inputs over the same band, or widen band_hz"
+            f"no line between {max(low, f[0]):g} and {min(high, f[-1]):g} Hz is excited by every "
+            "input: drive all inputs over the same band, or widen band_hz"
         )
     scaled = blocks.U[lines] / np.sqrt(power[lines])[:, :, None]
     values, vectors = np.linalg.eigh(scaled @ scaled.conj().swapaxes(1, 2) / blocks.U.shape[2])
@@ -264,9 +264,10 @@ def _separable_lines(blocks: _Blocks, band_hz: tuple[float, float] | None) -> ND
         blend = np.median(np.abs(vectors[~separable, :, 0]), axis=0)
         together = np.flatnonzero(blend > 0.2 * blend.max())
         raise IdentificationError(
-            f"{_named(together)} not moved independently at {np.sum(~separable)} of {lines.size} lines "
-            f"({blocks.U.shape[2]} spectra for {m} inputs), so the records cannot tell their effects apart: "
-            "drive one input at a time, or all with unrelated signals, in as many experiments as inputs"
+            f"{_named(together)} not moved independently at {np.sum(~separable)} of {lines.size} "
+            f"lines ({blocks.U.shape[2]} spectra for {m} inputs), so the records cannot separate "
+            "their effects: drive one input at a time, or all with uncorrelated signals, in as many "
+            "experiments as inputs"
         )
     return np.asarray(lines[separable])
 

@@ -25,7 +25,7 @@ def fit_state_space(
     tolerance: float = 1e-4,
     progress: Callable[[str], None] | None = None,
 ) -> LinearBlock:
-    """Fit a stable discrete-time model of n states, m inputs and p outputs.
+    """Fit a stable discrete-time state-space model with n states, m inputs and p outputs.
 
         x[k+1] = A x[k] + B u[k],   y[k] = C x[k] + D u[k],   G(z) = C (z - A)^-1 B + D
 
@@ -43,8 +43,8 @@ def fit_state_space(
     response : measured response, from ``frequency_response``
     order : number of states n
     weighting : ``power`` or ``variance``
-    max_iterations : steps at most, of the best start
-    tolerance : stop when a step lowers the sum of squares by less than this part of it
+    max_iterations : largest number of steps from the best start
+    tolerance : stop when the relative decrease of the sum of squares is below this
     progress : called with one line of text at every start and step
 
     Returns

@@ -115,7 +115,7 @@ def weigh(response: FrequencyResponse, weighting: Weighting) -> WeightedLines:
     output = response.output_power.T
     dead = np.flatnonzero(output.max(axis=0) == 0.0)
     if dead.size:
-        raise IdentificationError(f"output {dead[0] + 1} does not respond at any line: leave it out")
+        raise IdentificationError(f"output {dead[0] + 1} does not respond at any line: remove it")
     input_scale = np.sqrt(np.diagonal(power, axis1=1, axis2=2).real.mean(axis=0))
     output_scale = np.sqrt(output.mean(axis=0))
     left = _weights(response, weighting) * output_scale
@@ -143,8 +143,8 @@ def _weights(response: FrequencyResponse, weighting: Weighting) -> Array:
     residue = response.residual_power.T
     if response.variance is None or not residue.any(axis=0).all():
         raise IdentificationError(
-            "the response's variance is not known, so it cannot weigh the fit: record more experiments than "
-            "inputs or several periods, or choose the weighting 'power'"
+            "the variance of the response is unknown, so it cannot weight the fit: use more "
+            "experiments than inputs or several periods, or choose the weighting 'power'"
         )
     return np.asarray(1.0 / np.sqrt(uniform_filter1d(residue, 2 * NEIGHBOURS + 1, axis=0, mode="nearest")))
 

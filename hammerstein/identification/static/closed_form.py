@@ -23,27 +23,27 @@ def closed_form(
     *,
     thresholds_v: Array | Sequence[ArrayLike] | None = None,
 ) -> list[Pair]:
-    """Thresholds and weights between one driven input and every output.
+    """Closed-form thresholds and weights from one driven input to every output.
 
     From the lower tip of the settled loop, the rising branch of n operators is
 
         y(b) = sum over i of w_i max(0, b - 2 r_i),     b = u - u_tip        (paper, eq. 14)
 
-    so that its values at n points, one between each threshold and the next, make a lower triangular system
-    for the weights (eq. 15-17).
+    so its values at n points, one between each two thresholds, give a lower triangular system for the weights
+    (eq. 15-17).
 
     Parameters
     ----------
     u_cycle_v : (sample,) one settled cycle of the driven input [V], evenly sampled, starting anywhere, with
         one rise and one fall
     y_cycle_um : (output, sample) the outputs over the same cycle [um]
-    operators : number of operators, one for all outputs or one an output; the thresholds are then uniform in
-        time and the points are samples of the record, as in the paper
-    thresholds_v : (operator,) thresholds [V], or one array an output, instead of their number
+    operators : number of operators, one for all outputs or one for each; the thresholds are then uniform in
+        time, and the points are samples of the record, as in the paper
+    thresholds_v : (operator,) thresholds [V], or one array for each output, instead of their number
 
     Returns
     -------
-    one pair for every output
+    one pair for each output
 
     Raises
     ------
@@ -90,8 +90,8 @@ def _at_nodes(u: Array, y: Array, nodes: Indices) -> Pair:
     """Thresholds at half the rise of the input at the nodes (paper, eq. 16)."""
     if nodes[-1] >= len(u):
         raise IdentificationError(
-            f"the input rises for {len(u)} samples only, but the partition needs {nodes[-1] + 1}: the cycle "
-            "is not a symmetric one; give thresholds instead of their number"
+            f"the input rises for {len(u)} samples only, but the partition needs {nodes[-1] + 1}: the "
+            "cycle is not symmetric; give thresholds instead of their number"
         )
     thresholds = 0.5 * u[nodes[:-1]]
     if np.any(np.diff(u[nodes]) <= 0):
@@ -110,9 +110,9 @@ def _at_thresholds(u: Array, y: Array, r: Array) -> Pair:
     if lonely.size:
         j = int(lonely[0])
         raise IdentificationError(
-            f"no sample tells the weight of threshold {r[j]:g} V: the input must pass {2.0 * r[j]:g} V above "
-            "its lower tip, at a sample before the next threshold engages; use fewer thresholds or a larger "
-            "amplitude"
+            f"no sample identifies the weight of threshold {r[j]:g} V: the input must rise "
+            f"{2.0 * r[j]:g} V above its lower tip, at a sample before the next threshold engages; "
+            "use fewer thresholds or a larger amplitude"
         )
     return _solved(r, u[nodes], y[nodes])
 
@@ -134,5 +134,5 @@ def _one_each(thresholds_v: Array | Sequence[ArrayLike], p: int) -> list[Array]:
 def _refuse_lengths(name: str, given: int, wanted: int) -> None:
     if given != wanted:
         raise IdentificationError(
-            f"{name} has {given} entries for {wanted} outputs; give one for all or one each"
+            f"{name} has {given} entries for {wanted} outputs; give one for all or one for each"
         )

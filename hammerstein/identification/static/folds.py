@@ -41,7 +41,7 @@ def moments_of_folds(
             part = int(np.searchsorted(ends, a, side="right"))
             folds[part % FOLDS].append((x[:, a - k : b - k], y[:, a:b]))
     if sum(map(bool, folds.values())) < 2:
-        raise IdentificationError("the records are too short to choose anything by what is left out of them")
+        raise IdentificationError("the records are too short for cross-validation")
     return {fold: moments_of(part, columns, len(y)) for fold, part in folds.items() if part}
 
 

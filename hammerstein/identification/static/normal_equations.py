@@ -59,7 +59,7 @@ class Moments:
         return self.samples - len(self.means)
 
     def of_output(self, o: int) -> Moments:
-        """Give the moments of one output alone."""
+        """Return the moments of one output alone."""
         columns = len(self.gram)
         means = self.means[:, [*range(columns), columns + o]]
         return Moments(self.gram, self.cross[:, [o]], self.power[[o]], self.samples, means)
@@ -70,7 +70,7 @@ def moments_of(
 ) -> Moments:
     """Moments of one record from blocks (column, sample) and (output, sample).
 
-    moving : numbers of the columns that are not zero all the time, where they are known; all if not given
+    moving : numbers of the columns that are not zero all the time, if they are known; all if not given
     """
     k = columns + outputs
     total = np.zeros((k + 1, k + 1))
@@ -88,7 +88,7 @@ def moments_of(
         np.subtract(y, reference[columns:], out=rows[-outputs - 1 : -1])
         total[np.ix_(summed, summed)] += _products(rows)
     if reference is None:
-        raise IdentificationError("no sample of the record can be used")
+        raise IdentificationError("the record has no usable sample")
     samples = total[k, k]
     mean = total[:k, k] / samples
     centred = total[:k, :k] - samples * np.outer(mean, mean)

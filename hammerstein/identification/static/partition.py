@@ -57,9 +57,9 @@ def nodes_uniform_in_time(operators: int, samples_per_half_cycle: float) -> Indi
     spacing = math.floor(samples_per_half_cycle / (operators + 1))
     if spacing < 1:
         raise IdentificationError(
-            f"the rising half of a cycle has {samples_per_half_cycle:g} samples, too few for {operators} "
-            f"operators; use {_fewer(samples_per_half_cycle)}a lower frequency or a faster recording, or "
-            "thresholds uniform in voltage"
+            f"the rising half of a cycle has {samples_per_half_cycle:g} samples, too few for "
+            f"{operators} operators; use {_fewer(samples_per_half_cycle)}a lower frequency or a "
+            "higher sampling rate, or thresholds uniform in voltage"
         )
     return spacing * np.arange(1, operators + 2, dtype=np.int64) - 1
 
@@ -87,7 +87,7 @@ def thresholds_uniform_in_voltage(amplitude_v: float, operators: int) -> Array:
 
 def _refuse_count(operators: int) -> None:
     if operators < 1:
-        raise IdentificationError(f"{operators} operators cannot describe anything; use at least one")
+        raise IdentificationError(f"{operators} operators are not a model; use at least one")
 
 
 def _fewer(samples_per_half_cycle: float) -> str:

@@ -41,8 +41,8 @@ def closed_form_model(
         alone = [record for record in records if driven_inputs(record) == (k,)]
         if not alone:
             raise IdentificationError(
-                f"the closed form needs a record in which input {name} alone is driven over whole cycles; "
-                "record one, or use least squares"
+                f"the closed form needs a record in which only input {name} is driven over whole "
+                "cycles; record one, or use least squares"
             )
         largest = max(alone, key=lambda record: float(np.ptp(record.u_v[k])))
         u, y = mean_cycle(largest, k)

@@ -111,7 +111,7 @@ def fit_static(
     through: LinearBlock | Sequence[LinearBlock] | None = None,
     ridge: float = 0.0,
 ) -> StaticFit:
-    """Weights between all inputs and outputs from several records together.
+    """Least-squares weights of all inputs and outputs from several records.
 
         y_l = offset_l + sum over k, i of w_lki play(u_k; r_lki)         (paper, eq. 4)
 
@@ -125,8 +125,8 @@ def fit_static(
     solver : ``least_squares``; ``nonnegative``: all weights of a pair have the sign of its gain;
         ``invertible``: all slopes (partial sums of weights) of the direct pairs stay above a twentieth of
         the pair's mean slope, weights may be negative
-    starts : what went before each record; rest if not given
-    delay_samples : samples by which the outputs come late
+    starts : initial state of each record; rest if not given
+    delay_samples : delay of the outputs in samples
     through : linear block behind the static one with p inputs, one for all records or one each; its last p
         outputs are what was recorded
     ridge : penalty of the weights but the first, relative to the power of the plays
@@ -189,7 +189,9 @@ def path_filters(
     paths = [channel(block, first + o, k) for k in range(p)]
     own = paths.pop(o)
     if own is None or any(path is not None for path in paths):
-        raise IdentificationError("the linear block couples the outputs; give one that acts on each alone")
+        raise IdentificationError(
+            "the linear block couples the outputs; give one that acts on each output separately"
+        )
     return [SideBySide(own, columns)]
 
 
@@ -378,12 +380,13 @@ def refuse_unreached(records: Sequence[Record], grids: Sequence[Array]) -> None:
     for name, reach, grid in zip(records[0].inputs, half_swing(records), grids, strict=True):
         if grid.size and reach <= 0.0:
             raise IdentificationError(
-                f"input {name} is never driven, so that nothing can be told of it; record it too"
+                f"input {name} is never driven and therefore not identifiable; add a record that drives it"
             )
         if grid.size and grid[-1] >= reach:
             raise IdentificationError(
-                f"the threshold {grid[-1]:g} V of input {name} is never engaged, its largest half swing is "
-                f"{reach:g} V; leave the thresholds from there on out, or record a larger amplitude"
+                f"the threshold {grid[-1]:g} V of input {name} is never engaged, because its largest "
+                f"half swing is {reach:g} V; remove the thresholds from there on, or record a larger "
+                "amplitude"
             )
 
 
@@ -406,7 +409,7 @@ def refuse_inseparable(record: Record, layout: SlopeColumns, moments: Sequence[M
         names = [record.inputs[k] for k in np.unique(owner[shared])]
         if len(names) > 1:
             raise IdentificationError(
-                f"the records do not tell inputs {' and '.join(names)} apart: they never move independently; "
+                f"the records cannot separate inputs {' and '.join(names)}: they never move independently; "
                 "add records in which one input is driven at a time"
             )
 

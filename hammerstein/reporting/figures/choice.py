@@ -121,7 +121,7 @@ def _sensitivity(report: Report) -> dict[str, Figure]:
             names = tuple(plain(one.parameter) for one in found)
             where = f"{plain(label)}, {band.frequency_hz:g} Hz, {plain(band.measured_axis)}"
             bars.append(SensitivityBars(where, names, np.array(first), np.array(total)))
-    title = f"What the spread of the {words} of the true position is due to"
+    title = f"Causes of the spread of the {words} of the true position"
     return {"sensitivity": sensitivity_figure(bars, title)} if bars else {}
 
 
@@ -164,7 +164,7 @@ def _loops(report: Report, whole: bool) -> dict[str, Figure]:
         figures[f"loops{suffix}"] = loops_figure(runs, inputs, readings, title, ideal=not volts)
         errors = error_runs(report, traces)
         if errors and (whole or len({run.label for run in errors}) <= MOST_CURVES):
-            what = "sensor's reading less the prediction" if volts else "true position less the reference"
+            what = "sensor's reading minus the prediction" if volts else "true position minus the reference"
             title = _titled(traces if suffix else (), what)
             figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, title)
     return figures
@@ -178,7 +178,7 @@ def _titled(of: Sequence[Trace], what: str) -> str:
 def _sweeps(report: Report, over: Over) -> dict[str, Figure]:
     """Error of the reading and, for a compensator, of the true position; without a target the gain."""
     volts = report.scenario.drive is not None
-    seen = "Model error, seen by the sensor" if volts else "Error of the sensor's reading"
+    seen = "Model error, from the sensor's readings" if volts else "Error of the sensor's reading"
     wanted = [(over.figure, "rms_um", "rms error [µm]", seen)]
     if volts and all(row.rms_um is None for row in report.rows):
         wanted = [(over.figure, "gain", "gain [µm/V]", "Gain of the first harmonic")]
@@ -278,7 +278,7 @@ def _operators(report: Report) -> dict[str, Figure]:
         found = [(row, numbers.index(models[row.compensator]), row.rms_um) for row in rows]
         label = f"{frequency_hz:g} Hz, {amplitude_v or 0:g} V"
         curves.append(SweepCurve(label, np.array(numbers, float), _grid(report, len(numbers), found)))
-    title = "Model error against its size"
+    title = "Model error against number of operators"
     figure = sweep_figure(
         curves, transfers_of(report), "rms error [µm]", title, "play operators of each transfer"
     )
@@ -293,7 +293,7 @@ def _paths(report: Report, whole: bool) -> dict[str, Figure]:
     what = "predictions of the models" if volts and compared else "sensor's reading"
     target = "sensor's reading" if volts else "reference"
     truly = any(run.true_um is not None for run in runs)
-    errors = f"true distance from the {target}, errors of the reading" if truly else f"{what} less {target}"
+    errors = f"true distance from the {target}, errors of the reading" if truly else f"{what} minus {target}"
     figures = {}
     for suffix, (part, shown) in ({"": ("", runs)} if whole else _few_at_a_time(runs)).items():
         figures[f"path{suffix}"] = path_figure(shown, report.axes, target, f"{kind}: {what}{part}")

@@ -49,7 +49,7 @@ def compared_figure(found: Comparison) -> Figure:
             entries |= _draw_errors(panels[0], found, "fitted", "fitted_at", hollow=True)
         entries |= _draw_errors(panels[0], found, told, at, hollow=False)
         _draw(panels[1], [entry.left.percent for entry in found.entries])
-        quantities = ("rms error [% of range]", "left by its compensator [%]")
+        quantities = ("rms error [% of range]", "error of its compensator [%]")
         for number, (axes, label) in enumerate(zip(panels, quantities, strict=True)):
             letter(axes, number)
             axes.set(xscale="log", xlabel=label)

@@ -51,7 +51,7 @@ BANDS = 120
 """Parts of a noisy trace of many samples, of each of which the lowest and highest sample are drawn."""
 LEAST = 1e-12
 """Keeps logarithms of what is zero on the axes."""
-MEASURED, SEPARATED = "measured", "measured, less the model's response to the other inputs"
+MEASURED, SEPARATED = "measured", "measured, minus the predicted response to the other inputs"
 BROAD_SHARE = 0.5
 """Records from this part of the longest one's length on are used for the measured response."""
 
@@ -144,7 +144,7 @@ def _slowest_cycle(fit: Fit, k: int, alone: bool) -> tuple[int, slice] | None:
 
 
 def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
-    """What the kept model leaves over time, and all of them over frequency, one row an output.
+    """What the kept model leaves over time, and all of them over frequency, one row for each output.
 
     Parameters
     ----------

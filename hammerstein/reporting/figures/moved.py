@@ -109,9 +109,7 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
         entries: dict[str, Artist] = {}
         for number, course in enumerate(shown):
             entries[plain(course.label)] = _draw(left, right, course, number)
-        (entries["baseline, with what it may move"],) = left.plot(
-            [], [], color=PALE, linewidth=4.0, alpha=0.6
-        )
+        (entries["baseline with tolerance"],) = left.plot([], [], color=PALE, linewidth=4.0, alpha=0.6)
         right.axhspan(-1.0, 1.0, color=PALE, alpha=0.3, linewidth=0.0)
         _scale(left, shown)
         if max(course.excess for course in shown) > 10.0:
@@ -121,7 +119,7 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
             if axes.get_yscale() == "linear":
                 few_ticks(axes)
         letter(left, 0)
-        letter(right, 1, "the grey band is allowed")
+        letter(right, 1, "grey band: tolerance")
         legend_above(figure, entries)
     return figure
 

@@ -66,7 +66,7 @@ def sensitivity_figure(bars: Sequence[SensitivityBars], title: str = "") -> Figu
         axes.set_yticks(places, names)
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
-        axes.set_xlabel("part of the variance")
+        axes.set_xlabel("share of the variance")
         axes.set_xlim(left=min(0.0, *(float(own.first[:, 0].min()) for own in bars), 0.0))
         legend_above(figure, entries, title)
     return figure

@@ -106,7 +106,7 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(height_in: float, columns: int = 2) -> Figure:
-    """Give an empty figure, without any window behind it: of page width, or half of it for one column."""
+    """Return an empty figure, without any window behind it: of page width, or half of it for one column."""
     from matplotlib.figure import Figure
 
     width_in = WIDTH_IN if columns > 1 else ALONE_IN
@@ -168,7 +168,7 @@ def symbol(axis: str, role: Role) -> str:
 
 
 def plain(label: str) -> str:
-    r"""Give a label of the user's as it is: no formula in it, and not hidden for its first underscore.
+    r"""Return a label of the user's as it is: no formula in it, and not hidden for its first underscore.
 
     >>> plain("_5 $")
     ' _5 \\$'

@@ -96,7 +96,7 @@ def _reader() -> MarkdownIt:
 
 
 def _anchored(tokens: Sequence[Token]) -> list[Heading]:
-    """Give each heading an id of its own."""
+    """Return each heading an id of its own."""
     found: list[Heading] = []
     taken: set[str] = set()
     for token, words in pairwise(tokens):

@@ -129,7 +129,7 @@ def _put_away(folder: Path, room: Path, name: str, plan: Exchange) -> bool:
 
 
 def put_aside(path: Path) -> Path:
-    """Give somebody's file another name, which is free."""
+    """Return somebody's file another name, which is free."""
     number, place = 1, path.with_name(f"{path.name}.{EDITED}")
     while os.path.lexists(place):
         number += 1

@@ -109,7 +109,7 @@ class Manifest:
         return json.dumps(_ManifestFile(files=dict(self.files)).model_dump(), indent=1, sort_keys=True) + "\n"
 
     def joined(self, other: Manifest) -> Manifest:
-        """Give the manifest of this folder with the files of another that were moved into it."""
+        """Return the manifest of this folder with the files of another that were moved into it."""
         return Manifest(self.folder, {**self.files, **other.files})
 
     def save(self) -> None:
@@ -149,7 +149,9 @@ class Manifest:
             return
         listed = ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
         kind = "" if overwrite else ", or give --overwrite"
-        was = f"this command did not write and would overwrite; move it away, choose another place{kind}"
+        was = (
+            f"this command did not write it and would overwrite it; move it away, choose another place{kind}"
+        )
         if option:
             raise InputError(option, f"{self.folder / listed} is a file that {was}")
         raise InputError(str(self.folder), f"holds {listed}, which {was}")
@@ -198,7 +200,7 @@ def refuse_name(source: Path) -> None:
 def refuse_file_name(option: str, path: Path) -> None:
     """Refuse a name that no manifest can hold, or that the program keeps for itself; InputError."""
     if not _is_part(path.name) or path.name.startswith(RESERVED):
-        raise InputError(option, f"{path.name!r} cannot be the name of the file; choose another")
+        raise InputError(option, f"{path.name!r} is not possible as a file name; choose another")
 
 
 def refuse_link(folder: Path) -> None:

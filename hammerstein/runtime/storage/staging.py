@@ -215,7 +215,7 @@ def write_file(
 
 @contextmanager
 def staged_beside(path: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stage]:
-    """Give the stage of the folder of one file; the folder may be a link, and errors name the file."""
+    """Return the stage of the folder of one file; the folder may be a link, and errors name the file."""
     folder = _real(path.parent)
     refuse_no_file(str(path), path)
     try:
