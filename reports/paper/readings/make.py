@@ -163,7 +163,7 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
     lines = [
         "# Readings of the paper",
         "",
-        f"{exist} readings, each answering every claim of the scenarios of Figs. 5 to 13; no plant has "
+        f"{exist} readings of the plant were simulated for every claim of Figs. 5 to 13; no plant has "
         f"the bandwidth and damping of {len(table) - exist} more. Made by",
         "",
         "```",
