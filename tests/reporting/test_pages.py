@@ -353,7 +353,7 @@ def test_it_reads_without_scripts(folder: Path, page: Page) -> None:
         assert page.complaints == []
     finally:
         page.call("Emulation.setScriptExecutionDisabled", value=False)
-    assert "These plots need scripts" in text
+    assert "These plots need JavaScript" in text
     assert "rms error" in text
     assert page.value("document.querySelectorAll('figure svg').length") >= 2
 
