@@ -368,7 +368,7 @@ def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
     ):
         assert told in page
     (line,) = [line for line in page.splitlines() if line.startswith("| paper |") and "identified" in line]
-    assert cells(line)[1].startswith("The paper's compensator without inversion")
+    assert cells(line)[1].startswith("The paper's law without inversion")
     assert cells(line)[2] == "iterations = 3"
     assert "frequency_hz = 50" in cells(line)[3]
 
