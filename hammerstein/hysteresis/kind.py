@@ -161,11 +161,15 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops (output, input) [um] for a voltage amplitude [V].
 
+        They are negative where the output falls while the voltage rises.
+
         amplitude_v : of all inputs, or of each of them (m,)
         """
         sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
         swings = [self._swept(k, -size, size)[:, -2 * SWEEP_SAMPLES :] for k, size in enumerate(sizes)]
-        return 0.5 * np.stack([np.ptp(swing, axis=1) for swing in swings], axis=1)
+        heights = np.stack([np.ptp(swing, axis=1) for swing in swings], axis=1)
+        rises = np.stack([swing[:, SWEEP_SAMPLES - 1] - swing[:, -1] for swing in swings], axis=1)
+        return 0.5 * np.copysign(heights, rises)
 
     def gain(self, amplitude_v: float) -> Array:
         """Gain matrix (output, input) [um/V] of the settled loops at a voltage amplitude [V]."""
