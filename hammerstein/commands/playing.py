@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
@@ -10,8 +11,9 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.compensators.drive_csv import Tell, drive_csv
+from hammerstein.compensators.drive_file import beyond_records
 from hammerstein.compensators.path_file import PLAYED_COST, UNWATCHED, Onlooker, PathWork
-from hammerstein.errors import InputError, SimulationError
+from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
 from hammerstein.runtime.storage.manifest import Owner
@@ -90,6 +92,9 @@ def played(
     work.refuse_too_large(drive_path)
     onlooker.begin(work)
     onlooker.tell("playing")
+    beyond = beyond_records(model, u)
+    if beyond:
+        warnings.warn(f"{drive_path}: {beyond} The positions there are extrapolated.", Notice, stacklevel=2)
     instruments = model.instruments if with_sensor else None
     try:
         response = model.simulate(u, sample_time_s, instruments=instruments)

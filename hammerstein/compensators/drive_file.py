@@ -381,14 +381,21 @@ def refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
 
     Raises SimulationError with the range of the records.
     """
+    beyond = beyond_records(model, drive_v)
+    if beyond:
+        raise SimulationError(f"{beyond} Record this range too, or accept it with --beyond-records.")
+
+
+def beyond_records(model: HammersteinModel, drive_v: Array) -> str:
+    """Say where voltages (m, N) [V] leave those of the records; empty if they do not."""
     recorded = model.recorded
     for name, row, low, high in zip(
         model.inputs, drive_v, recorded.lowest_v, recorded.highest_v, strict=True
     ):
         outside = (row < low) | (row > high)
         if outside.any():
-            raise SimulationError(
+            return (
                 f"The drive goes from {row.min():.6g} to {row.max():.6g} V on {name}, but the records "
-                f"cover {low:.6g} to {high:.6g} V; {int(outside.sum())} of {row.size} samples are "
-                "outside. Record this range too, or accept it with --beyond-records."
+                f"cover {low:.6g} to {high:.6g} V; {int(outside.sum())} of {row.size} samples are outside."
             )
+    return ""

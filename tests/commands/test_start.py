@@ -155,6 +155,18 @@ def test_play_reads_plain_columns_and_adds_the_sensor(folder: Path) -> None:
     assert found["reading_x_um"].to_numpy() == pytest.approx(response.reading_um[0], abs=1e-9)
 
 
+@pytest.mark.parametrize(("top_v", "told"), [(9.9, False), (12.0, True)])
+def test_play_says_where_voltages_leave_the_records(
+    folder: Path, capsys: pytest.CaptureFixture[str], top_v: float, told: bool
+) -> None:
+    """The records of the stage cover -10 to 10 V."""
+    pd.DataFrame({"time_s": [0.0, 1e-3, 2e-3], "u_x": [0.0, top_v, 0.0], "u_y": 0.0}).to_csv(
+        "far.csv", index=False
+    )
+    assert call("play", "stage.json", "far.csv") == 0
+    assert ("1 of 3 samples are outside" in capsys.readouterr().err) is told
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
