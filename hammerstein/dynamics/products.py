@@ -42,6 +42,8 @@ class InputProducts(ByValue):
 
     def at(self, z: Array) -> Array:
         """What they add to w (q,) at z (h,)."""
+        if not len(self.factors):
+            return np.zeros(len(self.weights))
         part = np.append(np.clip(z / self.limit, -1.0, 1.0), 1.0)
         return np.asarray(self.weights @ np.prod(part[self.factors], axis=1))
 

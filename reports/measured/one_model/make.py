@@ -85,7 +85,8 @@ def judged(model: HammersteinModel, folder: Path, part: str) -> dict[str, list[o
 
 def cost_us(model: HammersteinModel) -> float:
     """Time of one sample [us]; the shortest of five runs."""
-    block, u = on_grid(model.dynamics, TIME_S), 0.1 * np.random.default_rng(0).normal(size=(3, 50_000))
+    block = on_grid(model.dynamics, TIME_S)
+    u = 0.1 * np.random.default_rng(0).normal(size=(block.n_inputs, 50_000))
     times = []
     for _ in range(6):
         begun = time.perf_counter()
@@ -134,8 +135,9 @@ def fit(folder: Path, file: Path, minutes: float) -> None:
 
     with ThreadPoolExecutor(2) as pool, contextlib.suppress(StopIteration):
         Search(enough=1e-5).run(LoopParameters.load(file), periods, pool, tell)
-    inputs, outputs = ([f"{axis}{i}" for i in (1, 2, 3)] for axis in "uy")
-    model = LoopParameters.load(file).model("fine steering mirror", TIME_S, LARGEST_V, inputs, outputs)
+    found = LoopParameters.load(file)
+    inputs, outputs = ([f"{axis}{i + 1}" for i in range(len(found.C))] for axis in "uy")
+    model = found.model("fine steering mirror", TIME_S, LARGEST_V, inputs, outputs)
     model.save(HERE / "model.json")
 
 
