@@ -80,7 +80,7 @@ def approached(reference_um: Array, distance_um: Sequence[float], sample_time_s:
         counts.append(count)
     detours, right, short = zip(*counts, strict=True)
     if not (any(detours) or any(right)):
-        what = f"finds no part of {SHORTEST_HOLD_S:g} s in which an output of the path holds still"
+        what = f"is useless here: no output of the path is constant for {SHORTEST_HOLD_S:g} s"
         raise InputError("--approach-side", what)
     return Approach(np.stack(rows), distance, detours, right, short)
 

@@ -122,14 +122,14 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
         plays.append({"count": int(state.count[k]), **window, "play": padded[k], "stack": held})
     return _grid(hysteresis, segments) + CPart(
         sizes=(
-            Size("GROUP", busy_kernels.GROUP, "operators whose weighted outputs are added up at once"),
+            Size("GROUP", busy_kernels.GROUP, "operators whose weighted outputs are summed together"),
             Size("GROUPS", groups, "of them"),
-            Size("LOOK", busy_kernels.LOOK, "samples after which turns are looked at"),
-            Size("WINDOW", busy_kernels.WINDOW, "the same while an input is busy"),
-            Size("TURN", busy_kernels.TURN, "operators that cost as much as a turn"),
-            Size("LONGEST", (busy_kernels.LOOK + 1) * busy_kernels.TURN, "samples that are counted"),
+            Size("LOOK", busy_kernels.LOOK, "samples between two counts of the turns"),
+            Size("WINDOW", busy_kernels.WINDOW, "the same in the form for frequent turns"),
+            Size("TURN", busy_kernels.TURN, "number of operators whose update costs as much as a turn"),
+            Size("LONGEST", (busy_kernels.LOOK + 1) * busy_kernels.TURN, "counted samples"),
         ),
-        tables=(Table("weight", weight, "Weights [um/V]: input, operator, output; filled up with zeros."),),
+        tables=(Table("weight", weight, "Weights [um/V]: input, operator, output; padded with zeros."),),
         indices=(Table("operators", bank.n, "Operators of each input."),),
         start={"plays": plays},
         values={"hysteresis": "plays", "helpers": ("least", "most"), "n_padded": width},
@@ -153,12 +153,12 @@ def _(hysteresis: Asymmetric, state: AsymmetricState) -> CPart:
     """The plays, and a line in each zone of the dead-zones."""
     lines = hysteresis.lines
     own = CPart(
-        sizes=(Size("ZONES", lines.ends.shape[1], "zones that an input can have"),),
+        sizes=(Size("ZONES", lines.ends.shape[1], "largest number of zones of an input"),),
         tables=(
             Table("smallest_play", hysteresis.smallest_v, "Smallest threshold of each input [V]."),
             Table("zone_end", lines.ends, "Upper end of each zone [V]: input, zone."),
             Table("zone_slope", lines.slope, "Slope of its line [um/V]: input, zone, output."),
-            Table("zone_start", lines.intercept, "Where its line begins [um]: input, zone, output."),
+            Table("zone_start", lines.intercept, "Value of its line at 0 V [um]: input, zone, output."),
         ),
         indices=(Table("bends", lines.n, "Dead-zones of each input."),),
         start={"smallest": state.smallest_v},
@@ -186,7 +186,7 @@ def envelopes_part(hysteresis: Generalised) -> CPart:
         return padded
 
     return _tangents(each) + CPart(
-        sizes=(Size("LINES", lines, "that an envelope can have"),),
+        sizes=(Size("LINES", lines, "largest number of lines of an envelope"),),
         tables=(
             Table(
                 "line_end",
@@ -211,13 +211,13 @@ def _tangents(envelopes: Sequence[Envelope]) -> CPart:
         sizes=(
             Size("DOUBLINGS", generalised.DOUBLINGS, "of the argument of a hyperbolic tangent"),
             Size("TERMS", len(generalised.SERIES), "of its series"),
-            Size("HALVINGS", generalised.HALVINGS, "in which an envelope with a tangent is inverted"),
+            Size("HALVINGS", generalised.HALVINGS, "halvings in the inverse of an envelope with a tangent"),
         ),
         tables=(
-            Table("TANH_LIMIT", generalised.LIMIT, "Argument from which a hyperbolic tangent is 1."),
-            Table("TANH_SCALE", 2.0**generalised.DOUBLINGS, "What its argument is divided by."),
+            Table("TANH_LIMIT", generalised.LIMIT, "Argument above which a hyperbolic tangent is 1."),
+            Table("TANH_SCALE", 2.0**generalised.DOUBLINGS, "Divisor of its argument."),
             Table("tanh_term", generalised.SERIES, "Its series, the highest power first."),
-            Table("tangent_size", sizes, "Size of the tangent of each envelope [V]; 0: it has none."),
+            Table("tangent_size", sizes, "Size of the tangent of each envelope [V]; 0: no tangent."),
             Table("tangent_steep", [one.steepness_per_v for one in envelopes], "Its steepness [1/V]."),
             Table("tangent_centre", [one.centre_v for one in envelopes], "Its centre [V]."),
         ),
@@ -236,10 +236,10 @@ def _(hysteresis: Preisach, state: PreisachState) -> CPart:
     return CPart(
         sizes=(
             Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
-            Size("TURNS", turns, "that the memory of an input holds"),
+            Size("TURNS", turns, "largest number of turns in the memory of an input"),
         ),
         tables=(
-            Table("FARTHEST_CORNER", np.inf, "Area of a corner of the staircase that is none."),
+            Table("FARTHEST_CORNER", np.inf, "Area that marks an unused corner of the staircase."),
             Table("plane_rest", planes.rest, "Working point of each input [V]."),
             Table("plane_low", planes.low, "Lower end of each plane [V]."),
             Table("plane_high", planes.high, "Upper end of each plane [V]."),
@@ -260,13 +260,13 @@ def _(hysteresis: RateDependent, state: RateState) -> CPart:
     return _flattening(bank.lam) + CPart(
         sizes=(
             Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
-            Size("N", bank.r.shape[1], "plays of an input, at most"),
+            Size("N", bank.r.shape[1], "largest number of plays of an input"),
         ),
         tables=(
             Table("PERIOD", hysteresis.grid_s, "Sample time [s]."),
-            Table("pole", hysteresis.poles, "Pole of the low-pass through which each rate is seen."),
+            Table("pole", hysteresis.poles, "Pole of the low-pass of each rate."),
             Table("at_rest", bank.r, "Thresholds at rest [V]: input, play."),
-            Table("growth", bank.b, "Volts a threshold grows for each V/s [s]: input, play."),
+            Table("growth", bank.b, "Growth of a threshold in volts for each V/s [s]: input, play."),
             Table("weight", bank.w, "Weights [um/V]: input, play, output."),
         ),
         indices=(Table("operators", bank.n, "Plays of each input."),),
@@ -289,7 +289,11 @@ def _flattening(lam: Any) -> CPart:
             Size("TERMS", len(rate_dependent_kernels.SERIES), "of its series"),
         ),
         tables=(
-            Table("flattening", lam, "Where the growth of an input flattens [s/V]; 0: it does not."),
+            Table(
+                "flattening",
+                lam,
+                "Rate constant at which the growth of an input flattens [s/V]; 0: linear growth.",
+            ),
             Table("ROOT_TWO", rate_dependent_kernels.ROOT_TWO, "Square root of 2."),
             Table("LOG_TWO", rate_dependent_kernels.LOG_TWO, "Logarithm of 2."),
             Table("term", rate_dependent_kernels.SERIES, "Series of the logarithm, the highest power first."),
@@ -305,14 +309,14 @@ def _(hysteresis: BoucWen, state: BoucWenState) -> CPart:
     return CPart(
         sizes=(
             Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
-            Size("STEPS", bouc_wen_kernels.MOST_SUBSTEPS, "of one movement at most"),
+            Size("STEPS", bouc_wen_kernels.MOST_SUBSTEPS, "largest number of steps of one movement"),
         ),
         tables=(
             Table("LONGEST", bouc_wen_kernels.LONGEST, "Largest step, in parts of the relaxation."),
             Table("FORGOTTEN", bouc_wen_kernels.FORGOTTEN, "Movement after which z is at its limit."),
-            Table("direct", direct, "Slope once z has come to its limit [um/V]: output, input."),
-            Table("hysteretic", hysteretic, "What z takes off [um/V]: output, input."),
-            Table("load", load, "How fast z relaxes while it grows [1/V]: output, input."),
+            Table("direct", direct, "Slope when z is at its limit [um/V]: output, input."),
+            Table("hysteretic", hysteretic, "Gain of z [um/V]: output, input."),
+            Table("load", load, "Rate at which z relaxes while it grows [1/V]: output, input."),
             Table("unload", unload, "The same while it falls [1/V]: output, input."),
         ),
         start={"lag": state.z_v.T, "here": state.last_v},
@@ -368,14 +372,14 @@ def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:
     return CPart(
         sizes=(
             Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),
-            Size("N", bank.r.shape[1], "operators of an input, at most"),
-            Size("SEGMENTS", segments, "segments that an input can have"),
+            Size("N", bank.r.shape[1], "largest number of operators of an input"),
+            Size("SEGMENTS", segments, "largest number of segments of an input"),
         ),
         tables=(
             Table(
                 "threshold",
                 bank.r,
-                "Thresholds [V]: input, operator; filled up with walls.",
+                "Thresholds [V]: input, operator; padded with infinite ones.",
             ),
             Table("slope", bank.slope, "Summed weights of the first j operators [um/V]: input, j, output."),
             Table("moment", bank.moment, "The same sums of weight times threshold [um]: input, j, output."),
@@ -392,12 +396,12 @@ def linear_part(block: LinearBlock) -> CPart:
     return CPart(
         sizes=(
             Size("STATES", n, "of the linear block"),
-            Size("ENTRIES", len(value), "of its matrix that are not zero"),
+            Size("ENTRIES", len(value), "nonzero entries of its matrix"),
         ),
         tables=(Table("entry", value, "Entries of the linear block [[A, B], [C, D]]."),),
         indices=(
-            Table("row", row, "Where they stand."),
-            Table("column", column, "Where they stand."),
+            Table("row", row, "Row of each entry."),
+            Table("column", column, "Column of each entry."),
         ),
         start={"x": np.zeros(n)} if n else {},
         values={"n_states": n, "dynamics": "linear"},
@@ -430,11 +434,13 @@ def _(block: FeedbackBlock) -> CPart:
         sizes=(
             Size("STATES", n, "of the block around the loop"),
             Size("LOOPS", loops, "inputs of the hysteresis in the loop"),
-            Size("LOOP_PLAYS", plays, "of each of them"),
+            Size("LOOP_PLAYS", plays, "largest number of plays of each of them"),
             Size("LOOP_OUTPUTS", outputs, "of that hysteresis"),
             Size("LOOP_WIDTH", n + block.n_inputs + outputs, "of x, v and w together"),
-            Size("REST", 3, "entries of a row that are no group of four, at most"),
-            Size("MOST_FOURS", int(fours.max(initial=0)), "groups of four entries in a row, at most"),
+            Size("REST", 3, "largest number of entries of a row outside groups of four"),
+            Size(
+                "MOST_FOURS", int(fours.max(initial=0)), "largest number of groups of four entries in a row"
+            ),
             *(
                 (Size("PRODUCTS", len(products.factors), "of inputs of the loops"),)
                 if products.factors.size
@@ -442,22 +448,24 @@ def _(block: FeedbackBlock) -> CPart:
             ),
         ),
         tables=(
-            Table("entry", value, "Entries of [[F, G, 0], [A, B, E], [C, D, 0]] that are not zero."),
-            Table("loop_threshold", bank.r, "Thresholds in the loop: input, play; filled up with walls."),
+            Table("entry", value, "Nonzero entries of [[F, G, 0], [A, B, E], [C, D, 0]]."),
+            Table(
+                "loop_threshold", bank.r, "Thresholds in the loop: input, play; padded with infinite ones."
+            ),
             Table("loop_weight", bank.w, "Their weights: input, play, output."),
-            Table("loop_limit", products.limit, "Up to which an input of the loop counts in products."),
+            Table("loop_limit", products.limit, "Limit of an input of the loop in products."),
             *(
-                (Table("product_weight", products.weights, "Of each product: output, product."),)
+                (Table("product_weight", products.weights, "Weights of each product: output, product."),)
                 if products.factors.size
                 else ()
             ),
         ),
         indices=(
             Table("row_start", start, "First entry of each row."),
-            Table("row_fours", fours, "Groups of four in it."),
-            Table("column", column, "Where the entries stand."),
-            Table("touched_first", block.touched[:, 0], "First output that a loop moves."),
-            Table("touched_stop", block.touched[:, 1], "The one behind the last."),
+            Table("row_fours", fours, "Number of groups of four in it."),
+            Table("column", column, "Columns of the entries."),
+            Table("touched_first", block.touched[:, 0], "First output that an input of the loop moves."),
+            Table("touched_stop", block.touched[:, 1], "Index after the last one."),
             *(
                 (Table("factor", products.factors, "Inputs of the loops that are multiplied."),)
                 if products.factors.size

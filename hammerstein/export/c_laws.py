@@ -47,8 +47,8 @@ def c_law_of(law: object) -> CPart:
 def _range(limits: DriveRange) -> CPart:
     """Range as it is sent, and the working point from which a law counts."""
     tables = [
-        Table("lowest_v", limits.low_v, "Lowest voltage that is sent [V]."),
-        Table("highest_v", limits.high_v, "Highest voltage that is sent [V]."),
+        Table("lowest_v", limits.low_v, "Lowest voltage of the drive [V]."),
+        Table("highest_v", limits.high_v, "Highest voltage of the drive [V]."),
     ]
     if has := bool(limits.working_point_v.any()):
         tables.append(_working_point(limits))
@@ -56,22 +56,22 @@ def _range(limits: DriveRange) -> CPart:
 
 
 def _working_point(limits: DriveRange) -> Table:
-    return Table("working_point", limits.working_point_v, "Voltage at which the plays rest [V].")
+    return Table("working_point", limits.working_point_v, "Voltage at which the plays are at rest [V].")
 
 
 def _origin(origin_um: Array) -> CPart:
     """Position of the model at the start, from where the reference counts."""
     if not origin_um.any():
         return CPart(values={"has_origin": False})
-    what = "Position of the model at the start, from where the reference counts [um]."
+    what = "Position of the model at the start, where the reference is zero [um]."
     return CPart(tables=(Table("origin", origin_um, what),), values={"has_origin": True})
 
 
 def _counted(limits: DriveRange) -> tuple[Table, Table]:
     low, high = limits.counted
     return (
-        Table("low", low, "Lowest voltage, counted from the working point [V]."),
-        Table("high", high, "Highest voltage, counted from the working point [V]."),
+        Table("low", low, "Lowest voltage, relative to the working point [V]."),
+        Table("high", high, "Highest voltage, relative to the working point [V]."),
     )
 
 
@@ -80,7 +80,7 @@ def _(law: NoCompensationLaw) -> CPart:
     own = CPart(
         tables=(
             Table("gain", law.gain_v_per_um, "Inverse of the low-frequency gain matrix [V/um]."),
-            Table("base", law.base_v, "Voltage at the start, counted from the working point [V]."),
+            Table("base", law.base_v, "Voltage at the start, relative to the working point [V]."),
             *_counted(law.range),
         )
     )
@@ -91,7 +91,7 @@ def _(law: NoCompensationLaw) -> CPart:
 def _(law: InverseMultiplicativeLaw) -> CPart:
     start = law.rest()
     own = CPart(
-        sizes=(Size("PASSES", law.iterations, "of the law in a sample"),),
+        sizes=(Size("PASSES", law.iterations, "iterations of the law in a sample"),),
         tables=(
             Table("gain", law.gain_v_per_um, "Gain K [V/um]."),
             Table("POLE", law.pole, "Pole of the filter; 0: a delay of one sample."),
@@ -108,8 +108,8 @@ def _(law: DecoupledInverseLaw) -> CPart:
     start = law.rest()
     own = CPart(
         tables=(
-            Table("STILL", STILL_V, "A step below this is no movement [V]."),
-            Table("jump", law.jump_v, "Smallest thresholds, by which the drive jumps at a turn [V]."),
+            Table("STILL", STILL_V, "Smallest step that counts as movement [V]."),
+            Table("jump", law.jump_v, "Smallest thresholds: size of the drive jump at a turn [V]."),
             *_counted(law.range),
         ),
         start={"turned": start.last_v, "direction": start.direction},
@@ -145,8 +145,8 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
     slope, moment = (design.w[name][:, : segments - 1] for name in ("slope", "moment"))
     return CPart(
         sizes=(
-            Size("SEGMENTS", segments, "segments that an input can have"),
-            Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a walk is given up"),
+            Size("SEGMENTS", segments, "largest number of segments of an input"),
+            Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a search is abandoned"),
         ),
         tables=(
             *_walk_tables(design, m),
@@ -164,7 +164,7 @@ def _(law: RateDependentInverseLaw, start: Any) -> CPart:
     """The walk over the zones of each sample, which are where a play is let go or taken up."""
     events = 2 * law.hysteresis.bank.r.shape[1]
     own = CPart(
-        sizes=(Size("EVENTS", events, "voltages at which a play of an input is let go or taken up"),),
+        sizes=(Size("EVENTS", events, "voltages at which a play of an input is released or engaged"),),
         values={"inverse": "rate_walk"},
     )
     return c_block_of(law.hysteresis, start.model) + _moving_zones(law, start.drive_v, events + 1) + own
@@ -175,7 +175,9 @@ def _(law: PreisachInverseLaw, start: Any) -> CPart:
     """The walk over the zones of each sample, which are the pieces of the branches from its memory."""
     zones = law.design_tables().w.shape[1]
     own = CPart(
-        sizes=(Size("SIDE", zones // 2 + 2, "steps along one side of the memory of an input, at most"),),
+        sizes=(
+            Size("SIDE", zones // 2 + 2, "largest number of steps along one side of the memory of an input"),
+        ),
         start={"sent": start.drive_v},
         values={"inverse": "preisach_walk"},
     )
@@ -191,9 +193,9 @@ def _moving_zones(law: StaticInverse[Any], drive_v: Array, zones: int) -> CPart:
     ]
     return CPart(
         sizes=(
-            Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a walk is given up"),
-            Size("ZONES", zones, "zones that an input can have"),
-            Size("DEPTHS", zones + 1, "pieces that a walk of an input can have passed"),
+            Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a search is abandoned"),
+            Size("ZONES", zones, "largest number of zones of an input"),
+            Size("DEPTHS", zones + 1, "largest number of pieces in the search of an input"),
         ),
         tables=(
             *_walk_tables(design, m),
@@ -216,10 +218,10 @@ def _(law: GeneralisedInverseLaw, start: Any) -> CPart:
     own = CPart(
         tables=(
             Table("value_end", values, "Value of each line at its upper end [V]: input, line."),
-            Table("seen_lowest", within.low_v, "What the plays see at the lowest voltage [V]."),
-            Table("seen_highest", within.high_v, "The same at the highest [V]."),
-            Table("drive_lowest", low, "Lowest voltage, counted from the working point [V]."),
-            Table("drive_highest", high, "Highest voltage, counted from the working point [V]."),
+            Table("seen_lowest", within.low_v, "Input of the plays at the lowest voltage [V]."),
+            Table("seen_highest", within.high_v, "Input of the plays at the highest voltage [V]."),
+            Table("drive_lowest", low, "Lowest voltage, relative to the working point [V]."),
+            Table("drive_highest", high, "Highest voltage, relative to the working point [V]."),
         ),
         values={"inverse": "envelope_walk"},
     )
@@ -230,15 +232,15 @@ def _walk_tables(design: Tables, m: int) -> tuple[Table, ...]:
     """What every walk knows of its inputs."""
     here = design.here
     return (
-        Table("FARTHEST", np.inf, "Where a piece ends that has no end."),
-        Table("STILL", float(here["still"][0]), "A step below this is no movement [V]."),
-        Table("SINGULAR", pieces.SINGULAR, "Pivot, relative, at which a matrix is singular."),
-        Table("POOR", pieces.POOR, "Condition from which the aim must be corrected."),
+        Table("FARTHEST", np.inf, "End of a piece without an end."),
+        Table("STILL", float(here["still"][0]), "Smallest step that counts as movement [V]."),
+        Table("SINGULAR", pieces.SINGULAR, "Relative pivot at which a matrix is singular."),
+        Table("POOR", pieces.POOR, "Condition number above which the result must be corrected."),
         Table("play", here["play"], "Smallest threshold of each input [V]."),
         Table("low", here["low"], "Least q that falls [V]."),
         Table("high", here["high"], "Largest q that rises [V]."),
-        Table("soft", here["soft"], "Movement over which the jump at a turn is spread [V]."),
-        Table("pull", here["gain"], "What an input moves each row [um/V]."),
+        Table("soft", here["soft"], "Movement over which the drive jump at a turn is spread [V]."),
+        Table("pull", here["gain"], "Change of each row with an input [um/V]."),
     )
 
 
@@ -249,13 +251,13 @@ def _zones(lines: ZoneLines, segments: int) -> CPart:
     zones = lines.ends.shape[1]
     return CPart(
         sizes=(
-            Size("ZONES", zones, "zones that an input can have"),
-            Size("DEPTHS", segments + zones, "pieces that a walk of an input can have passed"),
+            Size("ZONES", zones, "largest number of zones of an input"),
+            Size("DEPTHS", segments + zones, "largest number of pieces in the search of an input"),
         ),
         tables=(
             Table("zone_end", lines.ends, "Upper end of each zone [V]: input, zone."),
             Table("zone_slope", lines.slope, "Slope of its line [um/V]: input, zone, row."),
-            Table("zone_start", lines.intercept, "Where its line begins [um]: input, zone, row."),
+            Table("zone_start", lines.intercept, "Value of its line at 0 V [um]: input, zone, row."),
         ),
         values={"zones": True, "depths": segments + zones},
     )
@@ -287,21 +289,21 @@ def _(law: HammersteinInverseLaw) -> CPart:
     if modes:
         tables += [
             Table("mode", inverse.A, "Modes of the inverse dynamics, from the past."),
-            Table("mode_in", inverse.B, "What they take of the path."),
-            Table("mode_out", inverse.C, "What they give."),
+            Table("mode_in", inverse.B, "Input gain of the modes."),
+            Table("mode_out", inverse.C, "Output gain of the modes."),
         ]
     if n:
         tables += [
-            Table("GONE", exact_kernel.GONE, "Distance of the linear block that is none."),
+            Table("GONE", exact_kernel.GONE, "Smallest distance of the linear block that counts."),
             Table("block", law.recovery.a, "State matrix of the linear block."),
-            Table("block_in", law.recovery.b, "What it takes of the hysteresis."),
-            Table("recovery", law.recovery.gain, "Gain that brings it back to its path."),
+            Table("block_in", law.recovery.b, "Input gain of the linear block."),
+            Table("recovery", law.recovery.gain, "Gain that returns it to its path."),
         ]
     states = {"raw": start.raw, "known": start.filtered, "modes": start.modes, "away": start.away}
     ahead = CPart(
         sizes=(
-            Size("RAW", raw, "references that the filter needs beside the newest"),
-            Size("KNOWN", known, "samples of the path that are kept beside the newest"),
+            Size("RAW", raw, "earlier references for the filter"),
+            Size("KNOWN", known, "stored samples of the path besides the newest"),
             Size("TAPS", len(inverse.taps), "of the inverse dynamics"),
             Size("MODES", modes, "of the inverse dynamics"),
             Size("STATES", n, "of the linear block"),

@@ -148,10 +148,10 @@ class CCode:
 
     def _step_comment(self) -> str:
         if self.is_model:
-            return "One sample: voltages as they are sent, and the positions of the actuator."
+            return "One sample: absolute voltages, and the positions of the actuator."
         ahead = self.block.preview_samples
         late = f" for the reference {ahead} samples ago" if ahead else ""
-        return f"One sample: the reference counts from the start; the voltages{late}, as they are sent."
+        return f"One sample: the reference is zero at the start; the absolute voltages{late}."
 
     def _rendered(self, template: str, measured: MeasuredCode | None) -> str:
         part = self._part

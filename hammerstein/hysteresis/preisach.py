@@ -190,7 +190,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
             n, shapes = len(cells), {row[k].shape for row in rows}
             if shapes != {(n, n)} or not 1 <= n <= MOST_CELLS:
                 what = f"of input {k + 1} must be square, 1 to {MOST_CELLS} cells a side"
-                return [Mistake("cells_um_per_v", f"{what}, and alike of all outputs")]
+                return [Mistake("cells_um_per_v", f"{what}, the same for all outputs")]
         if any(not np.isfinite(c).all() or np.triu(c, 1).any() for row in rows for c in row):
             return [Mistake("cells_um_per_v", "must be finite, and 0 above the diagonal")]
         return []
@@ -220,7 +220,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         sides = " and ".join(str(n) for n in dict.fromkeys(len(c) for c in self.cells_um_per_v[0]))
         m, p = self.n_inputs, self.n_outputs
         axes = f"{m} input{'s' * (m > 1)}, {p} output{'s' * (p > 1)}"
-        return f"{axes}, a plane of {sides} cells a side for each input"
+        return f"{axes}, a plane of {sides} cells on each side for each input"
 
     def counted_from(self, working_point_v: ArrayLike) -> Preisach:
         """Return the same hysteresis for voltages relative to another working point (m,) [V]."""
@@ -300,7 +300,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         """
         if not driven.half_swing_v.all():
             name = driven.inputs[int(np.argmin(driven.half_swing_v))]
-            raise IdentificationError(f"input {name} never moves: no record tells what it does")
+            raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
         tried: tuple[int, ...] = CELLS
         if driven.given:
             tried = (min(max(len(r) for r in driven.thresholds_v), MOST_CELLS),)
@@ -407,8 +407,8 @@ class PreisachFile(HysteresisFile):
 
     kind: Literal["preisach"] = "preisach"
     describes: ClassVar = Preisach
-    low_v: Annotated[tuple[Offset, ...], Field(min_length=1, description="as it is sent, of each input")]
-    high_v: Annotated[tuple[Offset, ...], Field(min_length=1, description="as it is sent, of each input")]
+    low_v: Annotated[tuple[Offset, ...], Field(min_length=1, description="absolute voltage of each input")]
+    high_v: Annotated[tuple[Offset, ...], Field(min_length=1, description="absolute voltage of each input")]
     cells_um_per_v: Annotated[tuple[tuple[Cells, ...], ...], Field(min_length=1)]
 
     def hysteresis(self) -> Preisach:

@@ -45,14 +45,15 @@ class Paper(Assessment):
     number_names: ClassVar[tuple[str, ...]] = (CLAIMED,)
     reading_first: ClassVar[bool] = True  # as the paper's figures show it
 
-    figure: str = Field(default="", description='the figure that the scenario simulates, such as "Fig. 9"')
-    claims: tuple[Claim, ...] = Field(default=(), description="what the paper says of it")
-    also_on: tuple[AlsoOn, ...] = Field(
-        default=(), description="other actuators that the claims are asked of, for comparison"
-    )
-    seeds: Trial = Field(default=1, description="seeds of noise that every claim is asked of")
+    figure: str = Field(default="", description='simulated figure of the paper, such as "Fig. 9"')
+    claims: tuple[Claim, ...] = Field(default=(), description="claims of the paper about it")
+    also_on: tuple[AlsoOn, ...] = Field(default=(), description="other actuators, for comparison")
+    seeds: Trial = Field(default=1, description="seeds of noise, for each of which every claim is tested")
     finer: tuple[Trial, ...] = Field(
-        default=(), description="parts of a sample time that every claim is asked of, too, such as [2, 4]"
+        default=(),
+        description=(
+            "divisors of the sample time, for each of which every claim is tested too, such as [2, 4]"
+        ),
     )
 
     @property

@@ -46,29 +46,28 @@ class Quantity(BaseModel):
     model_config = _STRICT
 
     metric: MetricName = Field(description="figure of merit, a column of the report")
-    compensator: str | None = Field(default=None, description="label that rows are selected by")
-    excited_axis: str | None = Field(default=None, description="driven axis that rows are selected by")
-    measured_axis: str | None = Field(default=None, description="measured axis that rows are selected by")
-    frequency_hz: Frequency | None = Field(default=None, description="frequency that rows are selected by")
+    compensator: str | None = Field(default=None, description="label of the rows")
+    excited_axis: str | None = Field(default=None, description="driven axis of the rows")
+    measured_axis: str | None = Field(default=None, description="measured axis of the rows")
+    frequency_hz: Frequency | None = Field(default=None, description="frequency of the rows")
     from_hz: Frequency | None = Field(default=None, description="lowest frequency of the rows")
     to_hz: Frequency | None = Field(default=None, description="highest frequency of the rows")
-    amplitude_v: Size | None = Field(
-        default=None, description="amplitude of the drive that rows are selected by"
-    )
-    amplitude_um: Size | None = Field(
-        default=None, description="amplitude of the reference that rows are selected by"
-    )
-    trial: Trial | None = Field(default=None, description="trial that rows are selected by")
+    amplitude_v: Size | None = Field(default=None, description="amplitude of the drive of the rows")
+    amplitude_um: Size | None = Field(default=None, description="amplitude of the reference of the rows")
+    trial: Trial | None = Field(default=None, description="trial of the rows")
     of: Literal["max", "min", "mean", "spread", "octaves_below", "octaves_above"] = Field(
-        default="max", description="how the selected rows become one number"
+        default="max", description="reduction of the rows to one number"
     )
-    found_hz: Frequency | None = Field(default=None, description="where octaves are counted from")
-    times: Agreed = Field(default=2.0, description="figure that ends the octaves, over that at found_hz")
+    found_hz: Frequency | None = Field(default=None, description="frequency from which octaves are counted")
+    times: Agreed = Field(
+        default=2.0,
+        description="limit of the figure, relative to its value at found_hz, that ends the octaves",
+    )
 
     @model_validator(mode="after")
     def _counts_octaves_from_somewhere(self) -> Self:
         if (self.of in SIDES) != (self.found_hz is not None):
-            raise ValueError("octaves_below and octaves_above go with found_hz, where they are counted from")
+            raise ValueError("octaves_below and octaves_above need found_hz, from which they are counted")
         return self
 
     def value(self, rows: Iterable[Row]) -> float:
@@ -121,7 +120,7 @@ class Agreement(BaseModel):
 
     model_config = _STRICT
 
-    within: Agreed | None = Field(default=None, description="relative distance from the paper's figure")
+    within: Agreed | None = Field(default=None, description="relative distance from the paper's number")
     at_most: Figure | None = Field(default=None, description="largest value that agrees")
     at_least: Figure | None = Field(default=None, description="least value that agrees")
 
@@ -155,32 +154,35 @@ class Claim(BaseModel):
     model_config = _STRICT
 
     id: Annotated[str, Field(min_length=1)] = Field(description="short name")
-    statement: Annotated[str, Field(min_length=1)] = Field(description="what the paper says")
-    quote: str = Field(default="", description="its sentence, word by word; needed with a figure")
-    paper: Figure | None = Field(default=None, description="the paper's figure, if it prints one")
-    unit: str = Field(default="", description="unit of the figures")
-    quantity: Quantity = Field(description="what is simulated for it")
+    statement: Annotated[str, Field(min_length=1)] = Field(description="statement of the paper")
+    quote: str = Field(default="", description="its sentence, word for word; needed with a number")
+    paper: Figure | None = Field(default=None, description="the paper's number, if it prints one")
+    unit: str = Field(default="", description="unit of the numbers")
+    quantity: Quantity = Field(description="simulated quantity")
     over: Quantity | None = Field(default=None, description="divide by this quantity")
     row_by_row: bool = Field(
         default=False,
-        description="divide each row by that of the same axes, frequency and amplitude, then reduce",
+        description=(
+            "divide each row by that of the same axes, frequency and amplitude before the reduction"
+        ),
     )
     factor: Figure = Field(default=1.0, description="multiply by this, such as 0.5 for half a height")
-    agreement: Agreement = Field(description="what counts as agreement")
-    note: str = Field(default="", description="what a reader should know if the claim is not met")
+    agreement: Agreement = Field(description="condition of agreement")
+    note: str = Field(default="", description="remark for readers if the claim is not met")
     calibrated: bool = Field(
-        default=False, description="the actuator was made to meet it: it is listed apart and not counted"
+        default=False,
+        description="the actuator was made to meet this claim: it is listed separately and not counted",
     )
     factors: tuple[FactorName, ...] | None = Field(
-        default=None, description="what is tried as a cause if it is not met; all that apply if not given"
+        default=None, description="possible causes to try if it is not met; all that apply if omitted"
     )
 
     @model_validator(mode="after")
     def _has_a_figure_to_be_near(self) -> Self:
         if self.agreement.within is not None and not self.paper:
-            raise ValueError("agreement.within needs the paper's figure")
+            raise ValueError("agreement.within needs the paper's number")
         if self.paper is not None and not self.quote:
-            raise ValueError("the paper's figure needs the sentence that prints it, in quote")
+            raise ValueError("the paper's number needs the sentence that prints it, in quote")
         return self
 
     def value(self, rows: Sequence[Row]) -> float:

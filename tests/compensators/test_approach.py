@@ -84,7 +84,7 @@ def test_a_small_move_from_the_right_side_takes_up_no_backlash():
 @pytest.mark.parametrize(
     ("path", "distance", "message"),
     [
-        (np.sin(np.arange(500) / 50.0), [-1.0], "finds no part of 0.08 s in which an output"),
+        (np.sin(np.arange(500) / 50.0), [-1.0], "no output of the path is constant for 0.08 s"),
         (np.ones(500), [0.0], "needs a distance other than 0"),
         (np.ones(500), [1.0, 2.0], "or one for each of 1"),
     ],

@@ -211,7 +211,7 @@ def test_it_is_saved_and_loaded(tmp_path):
         (([0.0], [1.0], [[np.ones((2, 2))]]), "0 above the diagonal"),
         (([0.0], [1.0], [[np.eye(2) * np.nan]]), "finite"),
         (([0.0], [1.0], [[np.eye(41)]]), "1 to 40 cells"),
-        (([0.0], [1.0], [[np.eye(2)], [np.eye(3)]]), "alike of all outputs"),
+        (([0.0], [1.0], [[np.eye(2)], [np.eye(3)]]), "the same for all outputs"),
         (([0.0, 0.0], [1.0, 1.0], [[np.eye(2)]]), "row of 2 triangles"),
         (([0.0], [1.0], [[np.eye(2)]], [0.0, 0.0]), "1 finite voltages"),
     ],
