@@ -1,4 +1,4 @@
-"""Words for arrays, and arrays that nobody can write to."""
+"""Array types, and read-only arrays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Flags = NDArray[np.bool_]
 
 
 def frozen(values: ArrayLike) -> Array:
-    """Copy of some numbers that nobody can write to."""
+    """Read-only copy of some numbers."""
     array = np.array(values, dtype=np.float64)
     freeze(array)
     return array

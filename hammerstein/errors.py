@@ -1,4 +1,4 @@
-"""What can go wrong, one class per exit code of the command line.
+"""Errors, one class for each exit code of the command line.
 
 Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
 3 a simulation diverged or is out of reach, 4 identification cannot fit,
@@ -24,13 +24,13 @@ class HammersteinError(Exception):
 
 
 class ToleranceError(HammersteinError):
-    """A number left the tolerance that its baseline allows."""
+    """A number is outside the tolerance of its baseline."""
 
     exit_code = 1
 
 
 class Mistake(NamedTuple):
-    """One thing that is wrong in a file: where it stands, and what to do about it."""
+    """One mistake in a file: its place, and its remedy."""
 
     where: str
     what: str

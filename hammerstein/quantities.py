@@ -1,4 +1,4 @@
-"""Every number that a file or a person may give: finite, and within what its physics allows.
+"""Numbers in files and options: finite, and within physical limits.
 
 One place for all of them: the scenario, the signals, the compensators, the instruments, the dynamics, the
 model file and the settings of an identification. The limits are wide; they keep out what no actuator is, and

@@ -1,4 +1,4 @@
-"""What sits on a wire: laws, drive and sensor, the voltages between them, and python-control at every one."""
+"""Interfaces of blocks: laws, drive and sensor, voltages, and their python-control systems."""
 
 from hammerstein.blocks.law import (
     Controller as Controller,

@@ -1,4 +1,4 @@
-"""Where a model meets a drive: the voltages that may be sent, and those that were sent before.
+"""Drive range of a model: allowed voltages, and the voltages before the first sample.
 
 Outside, voltages are absolute: as recorded and as sent. The plays of a model count them from its working
 point, at which they rest. A law turns the one into the other here and nowhere else; forwards it is done by
@@ -32,7 +32,7 @@ class Recorded(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class DriveRange:
-    """Voltages that a law may ask for, and how the actuator came to the one at which it stands.
+    """Allowed voltages of a law, and the history of the actuator up to its start voltage.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class DriveRange:
         return np.clip(sent, self.low_v[:, None], self.high_v[:, None])
 
     def reached(self, drive_v: Array) -> Flags:
-        """Where voltages (m, N) stand at an end of the range."""
+        """Whether voltages (m, N) are at an end of the range."""
         low, high = self.ends[:, :, None]
         return np.asarray((drive_v >= high) | (drive_v <= low))
 

@@ -1,4 +1,4 @@
-"""Drive and sensor: what stands between the computer and the actuator."""
+"""Drive and sensor, between the computer and the actuator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every compensator is: a law from a reference in um to a drive in V."""
+"""Interfaces of compensators: laws from a reference in um to a drive in V."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Designed(ABC):
         return f"{type(self).__name__}({self.n_outputs} outputs, {self.range.words(inputs)})"
 
     def statement(self) -> str:
-        """Say what a user must know of it before a run; empty if nothing."""
+        """Information that a user needs before a run; may be empty."""
         return ""
 
 
@@ -156,7 +156,7 @@ class Law(Designed, Generic[S]):
 
 
 class Controller(Designed, Generic[S]):
-    """A compensator that reads the sensor: what it reads in one sample acts on the drive of the next.
+    """Compensator with feedback: its sensor reading in one sample acts on the drive of the next.
 
     In each sample ``request`` gives the voltage, the actuator moves, and ``correct`` takes the reading.
     """
@@ -183,7 +183,7 @@ class Controller(Designed, Generic[S]):
 
 
 class Learner(Designed):
-    """A compensator of a path that repeats: what a sensor read in one trial gives the drive of the next.
+    """Compensator of a repeating path: the sensor readings of one trial give the drive of the next.
 
     A trial plays one period of voltages again and again. The sensor is there while it learns, not later.
     """

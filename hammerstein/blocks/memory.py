@@ -1,4 +1,4 @@
-"""What a block remembers between two samples, as plain data and back."""
+"""State of a block between two samples, convertible to plain data and back."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hammerstein.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a block remembers between two samples; JSON keeps it to the last bit.
+    """State of a block between two samples; JSON keeps it to the last bit.
 
     A block's own memory derives from this as a frozen dataclass of arrays, numbers, other memories and tuples
     of them. A block that remembers nothing has this one itself.

@@ -1,4 +1,4 @@
-"""What a model file holds of the records it was found from: voltages as recorded, and the verdict."""
+"""Recorded voltages and verdict of the identification, as stored in a model file."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _poling(low: float, high: float) -> Poling:
 
 
 class Verdict(Strict):
-    """What its identification says of a model."""
+    """Verdict of the identification of a model."""
 
     flagged: bool = Field(description="whether the records show an effect that this model cannot represent")
     statements: tuple[str, ...] = Field(default=(), description="effects that it cannot represent")
@@ -92,7 +92,7 @@ class Verdict(Strict):
     )
 
     def error(self, outputs: Sequence[str]) -> str:
-        """Error of a model in words, by the names of its outputs; empty where no record has judged it.
+        """Error of a model in words, by the names of its outputs; empty if it was not tested.
 
         >>> Verdict(flagged=False, held_out=True, nrmse_percent=(0.45, 2.0)).error(("x", "y"))
         '0.45 % of the range of x and 2 % of that of y on validation records'

@@ -1,4 +1,4 @@
-"""Models of every kind from the same records: what ``identify`` finds for each, and how long it takes."""
+"""Models of every kind from the same records, with their identification time."""
 
 from __future__ import annotations
 

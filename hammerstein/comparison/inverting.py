@@ -1,4 +1,4 @@
-"""What compensators make of a model: whether one inverts it, and what is left on another model."""
+"""Compensators of compared models: invertibility, and error on another model."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _range(model: HammersteinModel) -> DriveRange:
 
 
 def left_by(one: Fitted, law: Inverse, other: Fitted, records: Sequence[Record]) -> Left:
-    """What the compensator of one model leaves where another one stands for the actuator.
+    """Error of the compensator of one model on another model.
 
     The path is what the other model says to the voltages of the records, from rest; the law of the first one
     computes the voltages for it, and these are played on the other.

@@ -38,7 +38,7 @@ def frequencies(records: Sequence[Record]) -> list[float]:
 
 
 def main_hz(record: Record) -> float:
-    """Frequency below which half of the power of the voltages lies [Hz]: that of a sine, if it is one.
+    """Median frequency of the power of the voltages [Hz]; for a sine, its frequency.
 
     Examples
     --------

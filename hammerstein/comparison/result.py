@@ -1,4 +1,4 @@
-"""What a comparison has found: one entry a model, and which of them is recommended."""
+"""Result of a comparison: one entry for each model, and the recommendation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ third one for what the model that stands for the actuator misses itself."""
 
 @dataclass(frozen=True)
 class Left:
-    """What the compensator of a model leaves on another model.
+    """Error of the compensator of a model on another model.
 
     law : which one; on : name of the model that stands for the actuator
     percent : rms error about its mean in percent of the range of the path, mean of the outputs; None where

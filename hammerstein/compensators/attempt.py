@@ -1,4 +1,4 @@
-"""One try of a law on a path: the drive it asks for, what is sent, and what the model predicts."""
+"""One law on one path: requested drive, actual drive, and predicted motion."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Attempt:
 
     @property
     def path_error_um(self) -> Array:
-        """Largest error of each output (p,) on the path, its lead-in left out [um]."""
+        """Largest error of each output (p,) on the path, without its lead-in [um]."""
         return np.asarray(np.abs(self.predicted.error_um[:, self.lead :]).max(axis=1))
 
 

@@ -1,4 +1,4 @@
-"""What every compensator is: options, and how a law is designed from them for a model and a drive."""
+"""Base class of compensators: options, and the design of a law for a model and a drive."""
 
 from __future__ import annotations
 

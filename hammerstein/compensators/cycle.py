@@ -1,4 +1,4 @@
-"""One settled period of a periodic path: what an amplifier plays again and again."""
+"""One settled period of a periodic path, which an amplifier repeats."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ CENTRING_ROUNDS = 20
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """One period of voltages, and what the model does when it is played again and again.
+    """One period of voltages, and the response of the model to its repetition.
 
     reference_um : (p, N) the path, counted from the start; drive_v : (m, N) as it is sent
     played_um : (p, N) position in the last of ten periods; closure_um : what it differs from the one before
@@ -83,7 +83,7 @@ class Cycle:
         return float(np.abs(np.diff(sent, axis=1)).max()), float(np.abs(self.drive_v[:, :1] - start).max())
 
     def statements(self) -> list[str]:
-        """Say what must hold when it is played."""
+        """Conditions for sending it."""
         settled, first = (_worst(self, position) for position in (self.played_um, self.first_um))
         step, jump = self.largest_steps_v()
         seconds = self.run_up_v.shape[1] * self.sample_time_s

@@ -1,4 +1,4 @@
-"""The analytic inverse, axis by axis (paper, reference 20): what the paper compares with."""
+"""Analytic inverse of each axis (paper, reference 20), with which the paper compares its law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A drive that erases what hysteresis remembers: a decaying alternation about the middle of the range."""
+"""Drive that erases the history of hysteresis: a decaying alternation about the middle of the range."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class DegaussDrive:
     after_um: Array
 
     def statements(self) -> list[str]:
-        """Say what is sent and what it leaves."""
+        """Description of the drive and of the remaining effect of history."""
         middle, working = self.drive_v[:, -1], self.limits.working_point_v
         volts = ", ".join(f"{u:.6g} V on {n}" for n, u in zip(self.model.inputs, middle, strict=True))
         left = "; ".join(

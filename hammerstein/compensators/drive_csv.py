@@ -1,4 +1,4 @@
-"""The file of voltages to send: a header, the numbers, and below them what must hold when they are sent."""
+"""Drive file: a header, the numbers, and below them the conditions for sending them."""
 
 from __future__ import annotations
 

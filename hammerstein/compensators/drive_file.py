@@ -32,7 +32,7 @@ HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """A drive for real hardware, and what the model says of it.
+    """Drive for real hardware, and the prediction of the model.
 
     attempt : the law, the reference with its lead-in, the drive, and what the model predicts
     prediction : parts of the error
@@ -71,7 +71,7 @@ class Compensation:
 
     @property
     def shortfall(self) -> Shortfall:
-        """Predicted position and error, and where the voltage stands at the range."""
+        """Predicted position and error, and samples with the voltage at its range."""
         return self.attempt.predicted
 
     def __repr__(self) -> str:
@@ -182,7 +182,7 @@ class Compensation:
 
 
 def verdict_statements(model: HammersteinModel) -> list[str]:
-    """What the model's own identification warns of."""
+    """Warnings from the model's identification."""
     verdict, said = model.verdict, []
     if verdict is not None and verdict.flagged:
         said.append("FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + ".")
@@ -193,7 +193,7 @@ def verdict_statements(model: HammersteinModel) -> list[str]:
 
 @dataclass(frozen=True)
 class Terms:
-    """What a person allows a drive to do.
+    """Limits of a drive that the user accepts.
 
     range_v : (low, high) for all inputs or one after the other [V]; one number N stands for -N to N; the
         range of the records, as far as the model's own drive gives it, if not given

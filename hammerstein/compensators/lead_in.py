@@ -1,4 +1,4 @@
-"""A way from where the actuator stands to where a path begins."""
+"""Motion from the initial position to the start of a path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What error is to be expected of a drive: of the path, of the model, of the converter and of the sensor."""
+"""Expected error of a drive: contributions of path, model, converter and sensor."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Prediction:
 
     @property
     def sum_um(self) -> Array:
-        """All parts together (p,), that of an untested model left out."""
+        """Sum of all contributions (p,), without that of an untested model."""
         own = 0.0 if self.model is None else self.model
         return np.asarray(self.path + own + self.converter + self.noise)
 

@@ -1,4 +1,4 @@
-"""What a drive range can reach, and what of a path it could not."""
+"""Reach of a drive range, and the part of a path beyond it."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def _strokes_fit(law: Law[Any], middle_um: Array, tips_um: Sequence[Array]) -> C
 
 @dataclass(frozen=True, eq=False)
 class Shortfall:
-    """Where a drive would leave its path, as the model predicts it.
+    """Predicted deviation of a drive from its path.
 
     predicted_um, error_um : (p, N) position and its distance from the path [um]
     at_range : (m, N) where the drive stands at its range; limits : that range
@@ -189,11 +189,11 @@ class Shortfall:
 
     @property
     def complete(self) -> bool:
-        """True if the drive never stands at its range."""
+        """True if the drive is never at its limit."""
         return not self.at_range.any()
 
     def statement(self, inputs: Sequence[str], outputs: Sequence[str]) -> str:
-        """Say how often each input stands at its range, and how far each output is missed."""
+        """Samples of each input at its limit, and largest error of each output, in words."""
         if self.complete:
             worst = ", ".join(f"{n} {e:.3g}" for n, e in zip(outputs, self._worst(), strict=True))
             return f"The drive stays within its range; predicted errors up to {worst} um."
@@ -225,7 +225,7 @@ def shortfall(
     sample_time_s: float,
     sent_v: Array | None = None,
 ) -> Shortfall:
-    """Predict with the model where a drive leaves its path.
+    """Predict the deviation of a drive from its path.
 
     Parameters
     ----------

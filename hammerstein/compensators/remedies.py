@@ -1,4 +1,4 @@
-"""What brings a path within reach, tried on the model before it is named."""
+"""Remedies for a path out of reach, each tried on the model before it is named."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class Missed:
     moved: bool = False
 
     def statement(self) -> str:
-        """Say which limit is hit, by how much and where, and what helps: two lines."""
+        """Limit, excess and place in the first line, remedies in the second."""
         listed = ", ".join(f"{option} ({error:.2g} um)" for error, option in self.remedies())
         alone = "" if "," in listed else "; or use a smaller or slower path"
         return f"{self._limits_hit()}\nRemedies, with the remaining error: {listed}{alone}."
 
     def remedies(self) -> list[tuple[float, str]]:
-        """Error that is left [um] and options of each remedy that helps, the best one first."""
+        """Remaining error [um] and options of each remedy that helps, the best one first."""
         clipped = float(self.found.path_error_um.max())
         led, complete = self._attempt(self.compensator, self.path_um)
         if self.prefix and complete:

@@ -30,7 +30,7 @@ WAVE_TABLE = Owner("wave table", single=True)
 
 @dataclass(frozen=True)
 class Device:
-    """What a kind of table is limited to.
+    """Limits of a kind of table.
 
     most_points : that it holds, if its source says so; step_s : of which the time of a point is a multiple
     fixed_unit : whether its numbers are volts by themselves; digits : behind the point
@@ -75,7 +75,7 @@ class WaveTable:
         return self.hold * self.cycle.sample_time_s
 
     def numbers(self) -> Array:
-        """What stands in the table (m, n)."""
+        """Numbers of the table (m, n)."""
         factor, offset = self.scale
         return np.asarray(np.round(factor * self.volts + offset, DEVICES[self.device].digits))
 

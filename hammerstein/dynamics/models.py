@@ -220,7 +220,7 @@ class StateSpaceDynamics(Strict):
         return self
 
     def instability(self) -> str:
-        """Say that a pole lies on the border of stability or beyond, and what to do; empty if none does."""
+        """Message about a pole on or beyond the stability limit, with its remedy; empty if there is none."""
         if self.allow_unstable or not self.A:
             return ""
         poles = np.linalg.eigvals(np.asarray(self.A, dtype=np.float64))

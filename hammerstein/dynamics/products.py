@@ -1,4 +1,4 @@
-"""Products of the inputs of a hysteresis inside the loop: what is curved in it, and couples its inputs."""
+"""Products of the inputs of a hysteresis in the loop: static nonlinearity and coupling."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ Finish = Callable[[Report], tuple[Path, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of one scenario file: its report, or the error that stopped it.
+    """Outcome of one scenario file: its report, or the error that stopped it.
 
     kept : files in its folder that a person had changed, under their new names
     unkept : why its results are not kept for the next run; empty if they are

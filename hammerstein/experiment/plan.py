@@ -64,7 +64,7 @@ LONG_S = 600.0
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a plan: what it is, what it needs, and the keys that make it smaller.
+    """One part of a plan: description, memory and time, and the keys that reduce them.
 
     once : what tells the result from others, where it is kept and other runs do not do it again; else None
     """
@@ -172,7 +172,7 @@ def jobs_that_fit(plans: Iterable[Plan], jobs: int) -> int:
 
 
 def plan_of(scenario: Scenario, jobs: int = 1, timed: bool = True) -> Plan:
-    """What a run of a scenario needs; InputError where its files are wrong.
+    """Memory and time of a run of a scenario; InputError if its files are wrong.
 
     timed : whether its time is wanted, too: a law that plugs in is tried for that
     """

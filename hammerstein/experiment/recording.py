@@ -1,4 +1,4 @@
-"""What is recorded of a case: the response, and what it is compared with."""
+"""Recording of a case: the response, and its reference or prediction."""
 
 from __future__ import annotations
 

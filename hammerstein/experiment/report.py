@@ -1,4 +1,4 @@
-"""What a run found: rows of numbers, statements, and the traces that figures draw."""
+"""Result of a run: rows of numbers, statements, and traces for figures."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ class Report(NotebookRepr):
         return _csv(pd.DataFrame([asdict(found) for found in self.sensitivities]))
 
     def to_csv(self) -> str:
-        """Text of ``rms.csv``: one line a row, figures without meaning left empty."""
+        """Text of ``rms.csv``: one line for each row; undefined figures are empty."""
         return self._table
 
     @cached_property

@@ -62,7 +62,7 @@ def _repeats(position: Array, start: int, cycles: int, samples: float) -> bool:
 
 
 def advice(setup: SetUp, case: Case) -> str:
-    """What to do about a run that has not settled: how long to wait, or why waiting does not help.
+    """Advice for a run that has not settled: a longer wait, or the reason why it does not help.
 
     The run is done again with 2 and with 20 times as many cycles before the measurement.
     """

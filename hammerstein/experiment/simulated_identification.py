@@ -1,4 +1,4 @@
-"""Identification experiments on a simulated actuator: what a person would do at the set-up.
+"""Identification experiments on a simulated actuator, as at a real set-up.
 
 The model that comes out has seen the actuator only through its drive and its sensor.
 """

@@ -1,4 +1,4 @@
-"""The two files of C of a law, and what they cost."""
+"""The two C files of a law, and their cost."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class CCode:
         return lines[:-1]
 
     def statements(self) -> list[str]:
-        """Say what it was made from, and what must hold."""
+        """Origin of the code, and conditions for its use."""
         request, limits = self.request, self.block.range
         options = "".join(f", {name} = {value}" for name, value in sorted(request.options.items()))
         said = [

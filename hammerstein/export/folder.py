@@ -1,4 +1,4 @@
-"""The folder of an export: the code, what shows that it is right, and what made it."""
+"""Folder of an export: code, self-test, model and request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step costs at most, found in the C code itself, and the same code with a counter in it.
+"""Upper bound of the operations of a step, from the C code itself, and the same code with a counter.
 
 An operation is an operator of C that computes, compares or stores: + - * / and their like, a comparison, an
 assignment. Addressing (an index, a member, a pointer) and the turns of a loop over a constant count only by

@@ -1,4 +1,4 @@
-"""What is to be exported: a model, a law with its options, and what the drive may do."""
+"""Request of an export: model, law with options, and limits of the drive."""
 
 from __future__ import annotations
 

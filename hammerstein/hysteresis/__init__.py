@@ -1,4 +1,4 @@
-"""Hysteresis: what every kind is, and each of them with its compiled loops.
+"""Hysteresis: the base class, and every kind with its compiled loops.
 
 To add a kind to the package, write it in a file of its own and name it here.
 """

@@ -1,4 +1,4 @@
-"""Whether a multivariable model of plays and dead-zones has an inverse, told before a run."""
+"""Invertibility of multivariable models, tested before a run."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Invertibility:
         return not self.unproven and self.singular == 0 and min(self.positive, self.negative) == 0
 
     def statement(self) -> str:
-        """Say in a sentence whether there is an inverse, and if not, where it fails."""
+        """Whether there is an inverse, and if not, where it fails, in one sentence."""
         total = self.positive + self.negative + self.singular
         if self.invertible:
             jumps = ", ".join(f"{jump:.3g} V on {self._name(k)}" for k, jump in enumerate(self.jump_v))

@@ -1,4 +1,4 @@
-"""What every kind of hysteresis is: what simulation, reports, feedback and uncertainty need of one."""
+"""Base class of all kinds of hysteresis, as simulation, reports, feedback and uncertainty use it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of an identified model, and its file."""
+"""Statements about an identified model, and its file."""
 
 from __future__ import annotations
 

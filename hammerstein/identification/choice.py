@@ -1,4 +1,4 @@
-"""Which of several models is kept: the simplest that is as good as the best, on what it was not fitted to."""
+"""Model selection by cross-validation: the simplest model that is as good as the best."""
 
 from __future__ import annotations
 

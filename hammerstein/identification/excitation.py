@@ -1,4 +1,4 @@
-"""What the records tell of each input: whether an output responds to it, and whether it ever turned."""
+"""Excitation of each input: whether an output responds to it, and whether its voltage turns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How records begin, their delays and their thresholds: what is found before a model is fitted."""
+"""Initialisation: initial states, delays and thresholds of the records, before a model is fitted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an identification has found, beside the model: errors, offsets, statements."""
+"""Result of an identification beside the model: errors, offsets, statements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sensor of a set-up as its data sheet says: what it does to a reading is not the actuator's."""
+"""Known sensor from its data sheet, whose effect on readings is excluded from the model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a model leaves of the records: is it noise, or something that the model does not have."""
+"""Residual analysis: whether the prediction error is noise, or an effect that the model lacks."""
 
 from __future__ import annotations
 

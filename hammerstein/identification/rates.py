@@ -1,4 +1,4 @@
-"""Rates at which records drive their inputs: a single one does not tell lag from hysteresis."""
+"""Rates at which records drive their inputs: a single rate does not separate lag from hysteresis."""
 
 from __future__ import annotations
 

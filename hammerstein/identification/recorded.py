@@ -1,4 +1,4 @@
-"""Voltages as recorded: what a fit counts them from, and what the model file says of them.
+"""Recorded voltages: the working point of a fit, and their description in the model file.
 
 A record may begin at any voltage. The plays of a model that rests do not know where zero is, so that every
 record is counted from the voltage at which it began; the model's working point is that of the first record

@@ -1,4 +1,4 @@
-"""What a model says to a record, and how far it is off."""
+"""Predictions of a model for a record, and their errors."""
 
 from __future__ import annotations
 

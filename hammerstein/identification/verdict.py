@@ -1,4 +1,4 @@
-"""Sentences about a fit: which block improves the model, and what a model of this kind cannot follow."""
+"""Sentences about a fit: blocks that improve the model, and effects that it cannot represent."""
 
 from __future__ import annotations
 

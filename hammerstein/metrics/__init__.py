@@ -1,4 +1,4 @@
-"""Figures of merit: what is measured on a run, what each figure means, and the rows that hold them.
+"""Figures of merit of a run, their meanings, and the rows that hold them.
 
 To add one, write a function of a ``Measured`` and register it with ``metric``: its column, glossary, claims,
 tolerances and baseline follow.

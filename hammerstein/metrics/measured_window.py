@@ -1,4 +1,4 @@
-"""The measured window of one case, and the errors over it: what every figure of merit is a function of."""
+"""The measured window of one case and its errors, from which every figure of merit is computed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hammerstein.metrics.arrays import LoopFigures, euclidean
 
 @dataclass(frozen=True)
 class PathErrors:
-    """How far a path is from what it is compared with [um].
+    """Errors of a path against its reference or prediction [um].
 
     rms, worst : (output,) root mean square and largest absolute error of each axis
     distance_rms, distance_worst : the same of the distance over all axes
@@ -91,17 +91,17 @@ class Measured:
 
     @cached_property
     def error_um(self) -> Array | None:
-        """Reading less what it is compared with (output, sample) [um]."""
+        """Reading minus reference or prediction (output, sample) [um]."""
         return None if self.target_reading_um is None else self.reading_um - self.target_reading_um
 
     @cached_property
     def true_error_um(self) -> Array | None:
-        """True position less what it is compared with (output, sample) [um]."""
+        """True position minus reference or prediction (output, sample) [um]."""
         return None if self.target_position_um is None else self.position_um - self.target_position_um
 
     @cached_property
     def true_distance_um(self) -> Array | None:
-        """Distance (sample,) of the true position from what it is compared with [um]."""
+        """Distance (sample,) of the true position from reference or prediction [um]."""
         return None if self.true_error_um is None else euclidean(self.true_error_um)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""One row of a report, and what tells it from the others."""
+"""One row of a report, and its key."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hammerstein.metrics.metric import METRICS, metrics_of
 
 @dataclass(frozen=True)
 class Keyed:
-    """What tells one row from the others, and all that is said of a row."""
+    """Key of a row, which identifies it among the others."""
 
     compensator: str
     excited_axis: str
@@ -43,7 +43,7 @@ KEY = tuple(field.name for field in fields(Keyed))
 
 @dataclass(frozen=True)
 class Row(Keyed):
-    """Figures of one case on one measured axis; None where a figure has no meaning.
+    """Figures of merit of one case on one measured axis; None if a figure is undefined.
 
     Errors are those of the sensor's reading, as in the paper; names with ``true`` are of the true position.
     A figure is read by its name: ``row.rms_um``.

@@ -1,4 +1,4 @@
-"""An actuator: its model file, and what it does when it is driven."""
+"""Actuator models: model files and simulation."""
 
 from hammerstein.model.model import (
     HammersteinModel as HammersteinModel,

@@ -20,7 +20,7 @@ from hammerstein.quantities import Entry, NoCycles
 
 @dataclass(frozen=True, eq=False)
 class ParameterCovariance(ByValue):
-    """How the errors of the numbers beside the weights hang together, and how the weights follow them.
+    """Covariance of the parameters other than weights, and sensitivity of the weights to them.
 
         x + d,   w + M d + (what the weights err by with given x),   cov d = L L^T
 
@@ -119,7 +119,7 @@ def drawn_blocks(
 
 
 class ParameterCovarianceFile(PartFile):
-    """Covariance L L^T of the numbers beside the weights, and how the best weights follow them."""
+    """Covariance L L^T of the parameters other than weights, and sensitivity of the weights to them."""
 
     factor: Annotated[tuple[tuple[Entry, ...], ...], BeforeValidator(lower_rows)] = Field(
         description="rows of L, each up to its diagonal"

@@ -119,7 +119,7 @@ class HammersteinModel(ByValue, NotebookRepr):
 
     @cached_property
     def recorded(self) -> Voltages:
-        """Working point and range of the records; symmetric about 0 V where the file does not say."""
+        """Working point and range of the records; symmetric about 0 V if the file states none."""
         return self.voltages or Voltages.symmetric(self.amplitude_v, self.hysteresis.n_inputs)
 
     @property
@@ -349,7 +349,7 @@ class HammersteinModel(ByValue, NotebookRepr):
 
 
 class ModelFile(Strict):
-    """What a model file holds: hysteresis, dynamics, voltages, names, verdict and provenance."""
+    """Content of a model file: hysteresis, dynamics, voltages, names, verdict and provenance."""
 
     model_config = ConfigDict(ser_json_inf_nan="strings")
 

@@ -1,4 +1,4 @@
-"""The actuator in its set-up: what a drive does to it and what the sensor reads."""
+"""Simulation of an actuator with drive and sensor."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ class Response(NotebookRepr):
 
 
 class AppliedDrive(NamedTuple):
-    """A part of the voltage (input, sample): asked for [V], given [V], and where the drive's range cut it.
+    """A part of the voltage (input, sample): requested [V], applied [V], and samples cut by the range.
 
     left : (m,) which inputs have left the working point by then
     """

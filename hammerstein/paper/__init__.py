@@ -1,4 +1,4 @@
-"""The one paper: its claims, what is said of them, and the page of all its figures.
+"""The paper: its claims, their judgements, and the page of its figures.
 
 A kind of assessment like those of others: nothing in the package imports this room, which the entry point
 ``paper`` of the group ``hammerstein.blocks`` names.

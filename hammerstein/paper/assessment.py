@@ -1,4 +1,4 @@
-"""What the paper prints of a scenario: the figure, its claims, and the actuators that they are asked of."""
+"""Assessment by the paper: a figure, its claims, and the actuators for which they are tested."""
 
 from __future__ import annotations
 

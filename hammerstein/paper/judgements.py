@@ -1,4 +1,4 @@
-"""What simulated actuators make of claims, and what is the cause where they do not agree."""
+"""Judgements of claims on simulated actuators, and causes of disagreement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be wrong with a measured record, each mistake with its column and row and what to do.
+"""Checks of measured records: each mistake with its column, row and remedy.
 
 All functions return mistakes instead of raising them, so that one message can tell all of them.
 """
@@ -90,7 +90,7 @@ def length_mistakes(samples: int) -> Iterator[Mistake]:
 
 
 def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str) -> Iterator[Mistake]:
-    """All columns of one kind stand still: values (column, sample)."""
+    """All columns of one kind are constant: values (column, sample)."""
     if values.size == 0 or any(moves(column) for column in values):
         return
     for name, column in zip(names, values, strict=True):
@@ -128,7 +128,7 @@ def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
 
 
 def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -> Iterator[Mistake]:
-    """Outputs that stand at one extreme value while the voltages would push them further.
+    """Outputs that stay at an extreme value while the voltages move on.
 
     A hysteretic output also stands still right after a reversal, but only while the voltage moves away
     from the extreme; a quantised one stands still for about one step. Neither counts.
@@ -165,7 +165,7 @@ def _straight_line(u: Array, column: Array) -> Array:
 
 
 def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
-    """Where a time column is not a uniform grid: steps back, gaps, jitter."""
+    """Places at which a time column is not a uniform grid: steps back, gaps, jitter."""
     steps = np.diff(time_s)
     typical = float(np.median(steps))
     back = np.flatnonzero(steps <= 0)

@@ -1,4 +1,4 @@
-"""How far each voltage moves each output: what a person checks first, and what a wrong unit spoils."""
+"""Gain from each voltage to each output, which reveals wrong units."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def doubtful_responses(records: Sequence[Record]) -> list[str]:
 
 
 def doubtful_jumps(records: Sequence[Record]) -> list[str]:
-    """Sentences about outputs that jump where no voltage does.
+    """Sentences about outputs that jump while no voltage jumps.
 
     Examples
     --------

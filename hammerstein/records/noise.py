@@ -1,4 +1,4 @@
-"""How much of a measured signal is noise or quantisation, without knowing what it should be."""
+"""Noise and quantisation of a measured signal, estimated without a reference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples that no actuator can have read: lost cells, spikes, glitches. They are found, left out and listed.
+"""Outliers: lost cells, spikes and glitches are detected, excluded and listed.
 
 A sample is suspected where its column jumps away and back, or leaves the range of all others. It is left out
 where a robust fit of the outputs says so: plays and delayed copies of the voltages, fitted without the
@@ -122,7 +122,7 @@ ROUNDS = 4
 
 
 class Outliers(NamedTuple):
-    """Samples of one column that were left out.
+    """Excluded samples of one column.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def _confirmed(u: Array, y: Array, suspects: Flags) -> tuple[Flags, Array]:
 
 
 def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> list[Mistake]:
-    """Columns of which more is lost than may be left out."""
+    """Columns with too many outliers."""
     return [
         Mistake(
             where(found.column),

@@ -100,7 +100,7 @@ def _unit_text(index: int, names: Sequence[str], units: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class Header:
-    """What a file calls its columns: names as written, and the unit of each, where it has one.
+    """Header of a file: column names as written, and their units, if any.
 
     names : (column,), empty without a header; units : (column,)
     """

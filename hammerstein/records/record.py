@@ -1,4 +1,4 @@
-"""Measured records: what was fed in, what came out, on one uniform time grid."""
+"""Measured records: inputs and outputs on one uniform time grid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records from what python-control simulated, or what a user keeps in its form."""
+"""Records from time responses of python-control."""
 
 from __future__ import annotations
 

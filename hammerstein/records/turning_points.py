@@ -1,4 +1,4 @@
-"""Where a voltage turns, and which of its turns are small excursions on a larger branch."""
+"""Turning points of a voltage, and small excursions on larger branches."""
 
 from __future__ import annotations
 

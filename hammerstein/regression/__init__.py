@@ -1,1 +1,1 @@
-"""Guard the numbers: baselines and what moved against them."""
+"""Regression tests: accepted numbers (baselines), and comparison with them."""

@@ -1,4 +1,4 @@
-"""Guard the numbers: run scenarios again and compare them with what was accepted."""
+"""Run scenarios again and compare them with the accepted numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a check found, for a person, for a summary page and for CI."""
+"""Result of a check, for the terminal, a summary page and CI."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What people look at: pages, tables and figures."""
+"""Reports: pages, tables and figures."""

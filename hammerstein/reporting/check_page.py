@@ -1,4 +1,4 @@
-"""What a check found as a page for a browser: findings, and old and new curves where there are any."""
+"""Page of a check: findings, and old and new curves."""
 
 from __future__ import annotations
 

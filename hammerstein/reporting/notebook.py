@@ -1,4 +1,4 @@
-"""What a notebook shows of a value: its short text and a picture."""
+"""Notebook representation of a value: its short text and a picture."""
 
 from __future__ import annotations
 

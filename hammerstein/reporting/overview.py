@@ -1,4 +1,4 @@
-"""What stands over a run of many scenarios: a page with a card each, and a digest for the terminal."""
+"""Overview of many reports: a page with one card for each, and a digest for the terminal."""
 
 from __future__ import annotations
 

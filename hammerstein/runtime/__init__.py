@@ -1,1 +1,1 @@
-"""The machine: processes, memory, and what is kept on disk."""
+"""Run time: processes, memory, and the cache on disk."""

@@ -1,4 +1,4 @@
-"""What becomes of an error that nobody foresaw: one line, an exit code of its own, and a file to send in."""
+"""Unexpected errors: one line, an exit code of their own, and a file to send in."""
 
 from __future__ import annotations
 

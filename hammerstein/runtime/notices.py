@@ -1,4 +1,4 @@
-"""What is worth a line and no error."""
+"""Notices: messages that are no errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What to run: one validated value for each scenario file."""
+"""Scenarios: one validated value for each scenario file."""
 
 from hammerstein.scenario.scenario import Scenario, load_scenario, scenario_of
 

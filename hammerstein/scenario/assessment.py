@@ -1,4 +1,4 @@
-"""What a scenario may carry to have its numbers judged: the figures of a publication, or of a data sheet.
+"""Assessment of a scenario by expected results, such as those of a publication or a data sheet.
 
 Each kind plugs in (``register``, or the entry point group ``hammerstein.blocks``) and is a table
 ``[assessment]`` of a scenario file, of some ``kind``. Runs, reports and baselines know no kind: they ask

@@ -1,4 +1,4 @@
-"""What to run: one validated value for each scenario file, nothing about how."""
+"""Scenarios: one validated value for each scenario file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a model comes from: an identification experiment, or a model file."""
+"""Source of a model: an identification experiment, or a model file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is followed or sent: test signals as frozen values, and tables of them."""
+"""Signals: references and drives as frozen values, and tables of them."""
 
 from hammerstein.signals.shapes import (
     MOST_LINES as MOST_LINES,

@@ -212,7 +212,7 @@ class Degauss(OnAxes):
 
     @property
     def period_s(self) -> float:
-        """Time until nothing is left."""
+        """Time until the amplitude is zero."""
         return (self.cycles + 1) / self.frequency_hz
 
     @property

@@ -1,4 +1,4 @@
-"""What files hold as frozen values, and from findings of pydantic to mistakes that a person can mend."""
+"""Validation of files: pydantic's findings as mistakes with place and remedy."""
 
 from pydantic import BaseModel, ConfigDict
 

@@ -1,4 +1,4 @@
-"""Feedback of the sensor: what sensorless compensation must stand against, alone or beside a feedforward."""
+"""Feedback of the sensor, alone or with a feedforward: the benchmark for sensorless compensation."""
 
 from __future__ import annotations
 
@@ -265,7 +265,7 @@ class FeedbackStream:
 
 
 def closed_loop(law: Controller[Any], plant: Plant, reference_um: ArrayLike, seed: list[int]) -> Response:
-    """Response of an actuator whose voltages depend on what its sensor reads, from rest.
+    """Closed-loop response of an actuator with a sensor, from rest.
 
     It is what ``Plant.closed_loop`` gives, to the last bit; where controller and hysteresis are those of this
     package the loop over the samples is compiled.

@@ -1,4 +1,4 @@
-"""Learning at the set-up: the next drive for a periodic path, from what a sensor said of the last one."""
+"""Iterative learning at the set-up: next drive of a periodic path, from sensor readings of the last one."""
 
 from hammerstein.compensators.learning.ilc_update import IlcUpdate as IlcUpdate, ilc_update as ilc_update
 from hammerstein.compensators.learning.learned import Learned as Learned

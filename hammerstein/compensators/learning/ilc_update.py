@@ -1,4 +1,4 @@
-"""The next drive of a periodic path, from the last one and what a sensor read meanwhile."""
+"""Next drive of a periodic path, from the last drive and its sensor readings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MEASURED = "measured"
 
 @dataclass(frozen=True, eq=False)
 class IlcUpdate:
-    """What a trial taught.
+    """Update of a drive from one trial.
 
     drive_v : (m, N) the next period of voltages; that of the trial where nothing is left to learn
     error_um : (p, N) mean error of the trial, the sensor's lag taken out
@@ -53,7 +53,7 @@ class IlcUpdate:
 
     @property
     def finished(self) -> bool:
-        """Whether what is left cannot be told from the sensor's noise."""
+        """Whether the remaining error is within the sensor's noise."""
         return self.learnt == 0 or self.worse
 
     @property
@@ -71,7 +71,7 @@ class IlcUpdate:
         return self.error_rms_um > before.error_rms_um + doubt
 
     def statement(self) -> str:
-        """Say what the error was, and whether to go on."""
+        """Error of the trial, and whether to continue."""
         found = (
             f"Rms error of this trial {self.error_rms_um:.3g} um, noise of its mean {self.noise_um:.2g} um."
         )

@@ -1,4 +1,4 @@
-"""From records to a model with hysteresis inside its loop, judged on what it has not seen."""
+"""Identification of a model with hysteresis inside its loop, selected by cross-validation."""
 
 from __future__ import annotations
 

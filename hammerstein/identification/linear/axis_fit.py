@@ -1,4 +1,4 @@
-"""Resonance, damping, lag and creep of each axis as the records tell them, with standard errors."""
+"""Resonance, damping, lag and creep of each axis from records, with standard errors."""
 
 from __future__ import annotations
 

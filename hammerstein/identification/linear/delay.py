@@ -1,4 +1,4 @@
-"""Samples by which the outputs come late: one search, whatever is fitted with each delay."""
+"""Delay of the outputs in samples: one search for every kind of fit."""
 
 from __future__ import annotations
 

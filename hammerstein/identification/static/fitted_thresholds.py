@@ -1,4 +1,4 @@
-"""Thresholds of all inputs fitted to records: exchanges and steps downhill in turn, and what is gained."""
+"""Thresholds of all inputs fitted to records by alternating exchanges and damped steps."""
 
 from __future__ import annotations
 

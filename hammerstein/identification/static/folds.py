@@ -1,4 +1,4 @@
-"""Parts of records that are left out in turn, so that a choice is judged on what was not fitted."""
+"""Cross-validation folds: parts of records that are excluded in turn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was before the first sample of a record: rest, the record itself, or nobody knows."""
+"""Initial state of a record: rest, a repetition of the record, or unknown."""
 
 from __future__ import annotations
 

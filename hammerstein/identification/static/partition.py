@@ -1,4 +1,4 @@
-"""Where the thresholds of the play operators stand (paper, appendix and remark 5.1)."""
+"""Placement of the thresholds of the play operators (paper, appendix and remark 5.1)."""
 
 from __future__ import annotations
 

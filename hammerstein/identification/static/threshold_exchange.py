@@ -1,4 +1,4 @@
-"""Thresholds picked from a fine grid, by moving one at a time to where it lowers the error most.
+"""Thresholds from a fine grid: one at a time moves to the place with the lowest error.
 
 The error against the thresholds has many local minima: two of them may share a span where one is needed,
 and none stands where two are. Steps downhill do not lead from one such place to another, but an exchange does
