@@ -201,7 +201,7 @@ def schema() -> None:
 
 
 def actuators(as_json: AsJson = False) -> None:
-    """List the actuators that come with the package."""
+    """List the packaged actuators."""
     from hammerstein.commands.terminal_tables import actuator_table
     from hammerstein.model import HammersteinModel, packaged_actuators
 

@@ -26,7 +26,7 @@ def degauss(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a decaying alternation that erases what the hysteresis remembers."""
+    """Write a decaying alternation that erases the history of an actuator."""
     from hammerstein.commands.refusals import refuse_output, write_output
     from hammerstein.compensators.degauss import degauss_drive
     from hammerstein.compensators.drive_file import DRIVE, Terms

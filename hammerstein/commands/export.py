@@ -37,7 +37,7 @@ def export(
     overwrite: Overwrite = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Turn a law, or the model itself, into code that runs without Python."""
+    """Export a law, or the model itself, as code that runs without Python."""
     from hammerstein.commands.refusals import told_by_options
     from hammerstein.errors import InputError
 

@@ -59,7 +59,7 @@ def loops(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Find the loops in measured records: height, width, area, closure, drift."""
+    """Measure the hysteresis loops in records: height, width, area, closure, drift."""
     from hammerstein.commands.terminal_tables import gains_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
@@ -148,7 +148,7 @@ def identify(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a model from measured records, and say how far it can be trusted."""
+    """Identify a model from measured records and report its errors and limits."""
     from hammerstein.commands.terminal_tables import gains_table, kept_aside
     from hammerstein.errors import InputError
     from hammerstein.escaping import one_line
@@ -285,7 +285,7 @@ def compensate(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Turn a reference into the voltages to send, with the predicted response."""
+    """Compute the voltages that follow a path, and the predicted response."""
     from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
     from hammerstein.commands.terminal_tables import compensation_table
     from hammerstein.commands.watch import watched

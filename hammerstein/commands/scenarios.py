@@ -64,7 +64,7 @@ def run(
 ) -> None:
     """Run scenarios and write a report for each: numbers, a page, figures.
 
-    What was worked out before is kept, and not done twice.
+    Results are cached and not computed twice.
     """
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
@@ -319,7 +319,7 @@ def plot(
     yes: Yes = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Draw the figures of one scenario, and nothing else."""
+    """Draw the figures of one scenario."""
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.run import run as run_scenario

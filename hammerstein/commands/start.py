@@ -26,7 +26,7 @@ def init(
         ),
     ] = None,
 ) -> None:
-    """Make a working folder: records, a model, a scenario, its numbers, and what to do next."""
+    """Create a working folder: records, a model, a scenario, its numbers, and the next steps."""
     from hammerstein.commands.working_folder import folder_of, own_folder, refuse_started
 
     there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
@@ -50,7 +50,7 @@ def show(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Print what a file holds, before anything runs."""
+    """Print the content of a file, without running anything."""
     from hammerstein.commands.contents import contents_of
     from hammerstein.commands.terminal_tables import facts_table
     from hammerstein.model import packaged_actuators, place_of
@@ -112,7 +112,7 @@ def play(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Play voltages on a model and write what comes out: the counterpart of compensate."""
+    """Simulate a model's response to voltages and write it to a file: the counterpart of compensate."""
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output, write_output
     from hammerstein.commands.terminal_tables import played_table

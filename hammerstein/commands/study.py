@@ -41,10 +41,10 @@ def sweep(
     ] = False,
     yes: Yes = False,
 ) -> None:
-    """Run a scenario with many values of its keys, as lists or as samples; write one table of all rows.
+    """Run a scenario for many values of its keys, as lists or samples, and write one table of all rows.
 
-    Rows are written as they come: memory does not grow with their number. What was run is kept, and a sweep
-    that was interrupted goes on there.
+    Rows are written as soon as they are computed, so memory does not grow with their number. Results are
+    cached, and an interrupted sweep continues where it stopped.
     """
     from hammerstein.experiment.study import sampled, study_of
     from hammerstein.runtime import store as kept_results
