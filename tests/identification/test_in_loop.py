@@ -16,6 +16,7 @@ from hammerstein.identification.in_loop.score import benchmark_rms
 from hammerstein.identification.in_loop.search import Search, SettledPeriod
 
 WARM, SAMPLES = 300, 512
+PAGE = Path(__file__).parents[2] / "reports" / "measured" / "one_model"
 
 
 def made_up(seed=3, curved=False):
@@ -161,16 +162,24 @@ def test_thresholds_stay_above_zero_and_may_meet():
 
 def test_the_committed_model_of_the_mirror_is_stable_and_knows_no_level():
     """Its page has the benchmark's figures; the model has one set of numbers, in the grid of the records."""
-    page = Path(__file__).parents[2] / "reports" / "measured" / "one_model"
-    model = HammersteinModel.load(page / "model.json")
+    model = HammersteinModel.load(PAGE / "model.json")
     assert model.dynamics.instability() == ""
     u = 0.3 * np.random.default_rng(0).normal(size=(3, 4000))
     assert np.abs(model.simulate(u, 1 / 6400.0).position_um).max() < 60.0
-    kept = LoopParameters.load(page / "search.json").dynamics(1 / 6400.0)
+    kept = LoopParameters.load(PAGE / "search.json").dynamics(1 / 6400.0)
     assert kept == model.dynamics
-    test = json.loads((page / "table.json").read_text())["test"]
-    text = (page / "README.md").read_text()
+    test = json.loads((PAGE / "table.json").read_text())["test"]
+    text = (PAGE / "README.md").read_text()
     assert f"| {' | '.join(f'{v:.3f}' for v in test['rms_um'])} |" in text
     assert all(
         error < published for error, published in zip(test["rms_um"], (0.087, 0.131, 0.169), strict=True)
     )
+
+
+def test_the_committed_model_of_the_mirror_comes_to_rest():
+    """A second after the voltages end less than a thousandth of the sensor's noise of 0.014 um is left."""
+    model = HammersteinModel.load(PAGE / "model.json")
+    u = np.zeros((3, 12_800))
+    u[:, :6400] = 0.3 * np.random.default_rng(0).normal(size=(3, 6400))
+    left = model.simulate(u, 1 / 6400.0).position_um[:, -500:]
+    assert (left - left.mean(axis=1, keepdims=True)).std() < 14e-6
