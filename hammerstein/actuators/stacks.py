@@ -113,7 +113,7 @@ def _made_up(
         outputs=("x", "y"),
         instruments=instruments,
         provenance={
-            "source": "synthetic, from the recipe in hammerstein.actuators.stacks",
+            "source": "made up by the recipe of hammerstein.actuators.stacks",
             "command": "python -m hammerstein.actuators.stacks",
         },
     )

@@ -269,7 +269,7 @@ def test_an_export_is_made_again_and_compared(folder):
     assert len(check_export(folder)) == 8
     source = folder / "duo_bimorph_exact_inverse.c"
     source.write_text(source.read_text().replace("threshold[2][15]", "threshold[2][16]"))
-    with pytest.raises(ToleranceError, match=r"duo_bimorph_exact_inverse.c from line \d+ on"):
+    with pytest.raises(ToleranceError, match=r"duo_bimorph_exact_inverse.c differs from line \d+ on"):
         check_export(folder)
     source.unlink()
     with pytest.raises(ToleranceError, match="is missing"):
