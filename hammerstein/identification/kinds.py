@@ -236,6 +236,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
 
     The block is fitted with its bounds and all that is not linear in it, the axes with its weights. Columns
     are chosen in every turn: in front of axes that are not yet what they come to, too few pass for enough.
+    The block begins anew once there are axes: without them it has bent to what they do.
 
     alone : the block as it was found without axes
     """
@@ -245,7 +246,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
     for turn in range(MOST_TURNS):
         late = free and turn == DELAY_TURN
         found = search_behind(task, whole.block.hysteresis, found, late)
-        whole = _before(task, thresholds_v, found, _again(whole.block))
+        whole = _before(task, thresholds_v, found, _again(whole.block) if turn else None)
         found = whole.behind
         starts = _starts_behind(task, thresholds_v, whole)
         moved = starts != task.starts

@@ -107,6 +107,24 @@ def test_plays_before_the_same_axes_are_what_a_kind_is_compared_with():
     assert "The linear dynamics improve the model" in fit.verdict
 
 
+def test_an_envelope_that_bent_to_a_resonance_is_found_straight_once_there_is_one():
+    """Plays behind a resonance, driven by a slow sine and a multisine: the envelope has nothing to do."""
+    path = discretise(AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),)), 0.5 * T)
+    time_s, rng = 0.5 * T * np.arange(3000), np.random.default_rng(1)
+    lines_hz = np.arange(20.0, 400.0, 20.0 / 3.0)
+    phases = rng.uniform(0.0, 2.0 * np.pi, lines_hz.size)
+    multisine = np.sin(2.0 * np.pi * np.outer(lines_hz, time_s) + phases[:, None]).sum(axis=0)
+    multisine *= 10.0 / np.abs(multisine).max() * np.minimum(1.0, time_s / 0.01)
+    u = np.concatenate([np.zeros(20), 10.0 * np.sin(2.0 * np.pi * 20.0 * time_s), multisine])[None]
+    y = path.respond(theory.asymmetric(u, [[R]], [[W]], [[[3.0]]], [[[0.0]]], [0.0]))[0]
+    record = Record(u, y + 0.04 * rng.standard_normal(y.shape), 0.5 * T)
+    kept = {"dynamics": "second_order", "creep_modes": 0, "error_curve": False}
+    model, fit = identify([record], Settings(hysteresis="generalised", **kept))
+    assert model.hysteresis.envelopes[0].all_slopes == pytest.approx(1.0, abs=0.02)
+    assert model.dynamics.axes[0].resonance_hz == pytest.approx(280.0, rel=1e-3)
+    assert fit.fit["hammerstein"].rms_um[0] == pytest.approx(0.04, rel=0.02)
+
+
 def test_a_delay_of_parts_of_a_sample_is_found_beside_lag_and_dead_zones():
     axis = Axis(lag_s=1e-3)
     late = AxesDynamics(axes=(axis,), input_delay_s=1.4 * T)
