@@ -115,7 +115,7 @@ def _own(
 ) -> list[tuple[Start, ...]]:
     """Start of each record that suits each model, on the samples that count for all of them."""
     return [
-        own_starts(records, begun, one.candidate.predict, start_mode(settings))
+        own_starts(records, begun, one.candidate.predict, start_mode(settings), one.candidate.slow_s)
         for begun, one in zip(alike(starts), fitted, strict=True)
     ]
 

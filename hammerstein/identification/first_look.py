@@ -5,11 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
 from hammerstein.identification.choices import StartMode
-from hammerstein.identification.linear.axis_search import FirstGuess
+from hammerstein.identification.linear.axis_search import (
+    FirstGuess,
+    search_creep,
+    thinning,
+    uniform_grids,
+)
+from hammerstein.identification.linear.axis_steps import ROUGHLY, refine
+from hammerstein.identification.linear.axis_task import AxisTask
+from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
     CurvePoint,
@@ -19,7 +29,15 @@ from hammerstein.identification.operators import (
 )
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import found_starts, judged_starts, shortened
+from hammerstein.identification.static.history import (
+    ENDS,
+    TURN_WORTH,
+    decays,
+    found_starts,
+    judged_starts,
+    shortened,
+    stepped_from,
+)
 from hammerstein.identification.static.normal_equations import Moments, pooled
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import (
@@ -36,6 +54,8 @@ DELAY_OPERATORS = 15
 """Operators with which the delay is found where their number is still open."""
 DEFAULT_OPERATORS, MOST_FITTED = 15, 20
 """Operators where no number is asked for nor tried, and the most of an input whose thresholds are fitted."""
+STEPPED_BEFORE = 0.2  # part of a record that a step lies before it, where the search begins
+CREEP_ROUNDS = 6  # in which starts and a slow mode are found in turn
 FIRST_OPERATORS = 20  # of the model that tells how records begin
 FIRST_SAMPLES = 50_000
 """Operators and samples of the first model, which only tells how the records begin."""
@@ -120,6 +140,8 @@ def first_task(
         last = guesses[-1]
     first = _FirstModels(records, last, settings).fitted(starts)
     starts = judged_starts(records, first.predict, settle_s_of(guesses), start_mode(settings))
+    if last:
+        starts = creeping_starts(records, starts, last, settings, tell)
     static = _static_delay(records, starts, settings, tell)
     delay = guesses[-1].delay_samples if guesses else static
     task = Task(records, starts, (), delay, settings, tell, static)
@@ -138,6 +160,63 @@ def first_task(
     if settings.fits_thresholds and settings.operators == "auto":
         chosen = min(chosen, MOST_FITTED)
     return replace(task, thresholds_v=settings.thresholds(records, chosen)), guesses, curve
+
+
+def creeping_starts(
+    records: tuple[Record, ...],
+    starts: tuple[Start, ...],
+    guess: FirstGuess,
+    settings: Settings,
+    tell: Progress,
+) -> tuple[Start, ...]:
+    """Starts of records that began while an earlier step still crept, found in turn with a slow mode.
+
+    As they were, where nothing decays in what is left of any record, or where a slow mode in records that
+    began at rest leaves as little.
+    """
+    quick, begun = shortened(records, starts, FIRST_SAMPLES)
+    first = _FirstModels(quick, guess, settings).fitted(begun)
+    errors = [first.residual(record, start) for record, start in zip(quick, begun, strict=True)]
+    if start_mode(settings) != "auto" or settings.creep_modes == 0 or not any(map(decays, errors)):
+        return starts
+    tell("looking whether the records began while they crept")
+    alike = [begun, *(_all_stepped_from(end, quick, begun) for end in ENDS)]
+    tried = [(*_creeping_guess(quick, one, guess, settings), one) for one in alike]
+    settled = tried[0][0]
+    least, creeping, begun = min(tried, key=lambda one: one[0])
+    for _ in range(CREEP_ROUNDS):
+        model = _FirstModels(quick, creeping, settings).fitted(begun)
+        other = judged_starts(quick, model.predict, guess.settle_s, "auto", slow_s=model.slow_s)
+        rms, near = _creeping_guess(quick, other, creeping, settings)
+        if rms >= least:
+            break
+        (least, creeping), begun = (rms, near), other
+    return begun if least**2 < (1.0 - TURN_WORTH) * settled**2 else starts
+
+
+def _all_stepped_from(end: str, records: Sequence[Record], starts: Sequence[Start]) -> tuple[Start, ...]:
+    """Starts a fifth of a record after a step from one end of the range; those in motion as they are."""
+    return tuple(
+        start
+        if start.kind == "repeated"
+        else stepped_from(end, record, round(STEPPED_BEFORE * record.samples))
+        for record, start in zip(records, starts, strict=True)
+    )
+
+
+def _creeping_guess(
+    records: tuple[Record, ...], starts: tuple[Start, ...], guess: FirstGuess, settings: Settings
+) -> tuple[float, FirstGuess]:
+    """Axes with a slow mode near those of a guess, and before them the geometric mean of what they leave."""
+    grids, every = uniform_grids(records, FIRST_OPERATORS), thinning(records)
+    shapes, points = [], []
+    for o, (shape, x) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
+        larger = replace(shape, creep_modes=1)
+        task = AxisTask(records, starts, grids, o, larger, guess.delay_samples, settings.sensor, every)
+        points.append(search_creep(task, x) if shape.creep_modes == 0 else refine(task, x, ROUGHLY))
+        shapes.append(larger)
+    rms = float(np.exp(np.mean([np.log(max(point.rms, TINY)) for point in points])))
+    return rms, replace(guess, shapes=tuple(shapes), parameters=tuple(point.x for point in points))
 
 
 def _static_delay(

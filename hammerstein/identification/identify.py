@@ -154,7 +154,9 @@ def _scores(
     """Errors of every kind of model on the same samples, each with the past that it explains best."""
     mode = start_mode(settings)
     return {
-        kind: score(candidate, records, own_starts(records, starts, candidate.predict, mode))
+        kind: score(
+            candidate, records, own_starts(records, starts, candidate.predict, mode, candidate.slow_s)
+        )
         for kind, candidate in built.candidates.items()
     }
 
@@ -165,7 +167,7 @@ def _starts_of_held(
     """How the records held back begin, by the best model, or by one that explains what it does not."""
     best = built.best.candidate
     simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not best]
-    return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler)
+    return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler, best.slow_s)
 
 
 def _kept(task: Task, built: Built) -> tuple[Built, tuple[Trial, ...]]:
@@ -177,7 +179,8 @@ def _kept(task: Task, built: Built) -> tuple[Built, tuple[Trial, ...]]:
     trials = []
     for name, _, found in named:
         candidate = found.candidate
-        own = own_starts(task.records, task.starts, candidate.predict, start_mode(task.settings))
+        mode = start_mode(task.settings)
+        own = own_starts(task.records, task.starts, candidate.predict, mode, candidate.slow_s)
         swing, record = float(half_swing(task.records).max()), task.records[0]
         told = invertibility_of(
             candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs

@@ -18,7 +18,9 @@ from hammerstein.identification.behind import Behind, search_behind, sure_behind
 from hammerstein.identification.choice import Trial, chosen, trial_of
 from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.columns import chosen_columns
+from hammerstein.identification.first_look import creeping_starts
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
 from hammerstein.identification.operators import input_grids
@@ -200,7 +202,12 @@ def _judged_alike(task: Task, one: Whole, tried: Sequence[Whole]) -> tuple[Start
     settle_s = max(other.settle_s for other in tried)
     open_ = unexplained(task.records, one.starts)
     judged = judged_starts(
-        [task.records[i] for i in open_], one.candidate.predict, settle_s, task.settings.start, simpler
+        [task.records[i] for i in open_],
+        one.candidate.predict,
+        settle_s,
+        task.settings.start,
+        simpler,
+        one.candidate.slow_s,
     )
     again = dict(zip(open_, judged, strict=True))
     return tuple(again.get(i, start) for i, start in enumerate(one.starts))
@@ -248,7 +255,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
         found = search_behind(task, whole.block.hysteresis, found, late)
         whole = _before(task, thresholds_v, found, _again(whole.block) if turn else None)
         found = whole.behind
-        starts = _starts_behind(task, thresholds_v, whole)
+        starts = _starts_behind(task, thresholds_v, whole, first=turn == 0)
         moved = starts != task.starts
         if moved:
             task = replace(task, starts=starts)
@@ -267,14 +274,24 @@ def _again(block: Replacement) -> Replacement | None:
     return None if block.picked else block
 
 
-def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole) -> tuple[Start, ...]:
+def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole, first: bool) -> tuple[Start, ...]:
     """Starts that suit a model with axes.
 
     What a record did not tell before lag and creep were known is asked again: slow modes that are fitted as
     if a record had gone before itself make its true past look wrong, so that the weights are fitted anew.
+    Creep that may have been under way is looked for the first time.
     """
     mode = task.settings.start
-    starts = judged_starts(task.records, whole.candidate.predict, whole.settle_s, mode)
+    candidate = whole.candidate
+    judged = judged_starts(task.records, candidate.predict, whole.settle_s, mode, slow_s=candidate.slow_s)
+    creeps = candidate.slow_s > 0.0  # one that does not cannot tell whether the actuator did
+    starts = tuple(
+        new if creeps or not old.held else old for old, new in zip(task.starts, judged, strict=True)
+    )
+    if first and mode == "auto" and not any(start.held for start in starts):
+        each = [axis_parameters(axis.model_copy(update={"creep": ()})) for axis in whole.behind.axes]
+        guess = FirstGuess(tuple(s for s, _ in each), tuple(x for _, x in each), whole.behind.delay_samples)
+        starts = creeping_starts(task.records, starts, guess, task.settings, task.progress)
     if mode != "auto":
         return starts
     most = max(BEGINNING // len(task.records), FEWEST)

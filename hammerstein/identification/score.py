@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import Dynamics
+from hammerstein.dynamics import AxesDynamics, Dynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.identification.known_sensor import KnownSensor
@@ -33,6 +33,12 @@ class Candidate:
     sensor: KnownSensor = field(default_factory=KnownSensor)
     at_limit: bool = False
 
+    @property
+    def slow_s(self) -> float:
+        """Longest time constant of its creep [s]; 0 for a model that does not creep."""
+        axes = self.dynamics.axes if isinstance(self.dynamics, AxesDynamics) else ()
+        return max((mode.time_constant_s for axis in axes for mode in axis.creep), default=0.0)
+
     def predict(self, record: Record, start: Start) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
         block = _path(self.sensor, self.dynamics, record.sample_time_s)
@@ -44,7 +50,10 @@ class Candidate:
             y, state = block.respond(v)
         else:
             held, _ = hysteresis.respond(path_before(record, start)[:, -1:], before)
-            y, state = block.respond(v, block.settled(held[:, 0]))
+            state = block.settled(held[:, 0])
+            if start.held:
+                _, state = block.respond(np.repeat(v[:, :1], start.held, axis=1), state)
+            y, state = block.respond(v, state)
         if start.kind == "repeated":
             y, _ = block.respond(v, state)
         return np.asarray(y[-len(record.y_um) :])
@@ -74,7 +83,7 @@ def path_before(record: Record, start: Start) -> Array:
     if start.kind in ("rest", "repeated"):
         return np.zeros((len(record.u_v), 1))
     turns = np.array(start.turn_v)
-    return turns[:, :1] if start.kind == "stepped" else np.column_stack([turns, record.u_v[:, 0]])
+    return turns if start.kind == "stepped" else np.column_stack([turns, record.u_v[:, 0]])
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,8 @@ FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 UNSURE_PERCENT = 5.0  # standard error of a resonance from which it is named
 UNSURE_DAMPING_PERCENT = 30.0  # the same of a damping ratio
 UNSURE_LAG_PERCENT = 30.0  # the same of a low-pass
+APART = 2.0
+"""Ratio of the time constants of two slow modes from which they are two."""
 SURE_CREEP = 3.0
 """Standard errors that the gain of a creep mode must have, if it was not asked for."""
 LOST = 1e-3
@@ -316,10 +318,13 @@ def creep_identified(fit: AxisFit, records: Sequence[Record]) -> bool:
     """Whether the records tell the creep of an axis: slow modes of clear size that end within a record.
 
     A mode that follows the drive within a radian of its slowest record cannot be told from the gain, one
-    slower than the longest record not from drift.
+    slower than the longest record not from drift, and two at nearly one time stand for one.
     """
     longest = max(record.sample_time_s * record.samples for record in records)
     shortest = 0.5 / np.pi / min(drive_hz(record) for record in records)
+    times = sorted(mode.time_constant_s for mode in fit.axis.creep)
+    if any(slower < APART * faster for faster, slower in itertools.pairwise(times)):
+        return False
     return all(
         shortest <= mode.time_constant_s <= longest and abs(mode.gain) >= SURE_CREEP * error
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True)

@@ -227,7 +227,7 @@ def _body(model: HammersteinModel, fit: Fit) -> Markdown:
 def _begun(fit: Fit) -> Iterator[tuple[str, str, Sequence[float]]]:
     """Name of each record, how it begins, and the offsets of its outputs [um]."""
     for record, start, offsets in zip(fit.records, fit.starts, fit.offsets_um, strict=True):
-        began = BEGINNINGS[start.kind]
+        began = "while it still crept after a step" if start.held else BEGINNINGS[start.kind]
         if start.kind == "turned":
             turns = zip(fit.inputs, start.turn_v, record.rest_v, strict=True)
             began += ", ".join(f" {turn + rest:.4g} V on {name}" for name, (_, turn), rest in turns)

@@ -1,19 +1,22 @@
 """What records of real set-ups have and made-up ones have not: drift, saturation, loops that turn back."""
 
 import itertools
+from dataclasses import replace
 
 import made_up
 import numpy as np
 import pytest
 
-from hammerstein.dynamics import StaticDynamics
+from hammerstein.dynamics import Axis, CreepMode, StaticDynamics
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.choice import chosen, trial_of
 from hammerstein.identification.identify import identify
 from hammerstein.identification.leftover import faults_left
+from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.verdict import creep_identified
 from hammerstein.records.record import Record
 
 RATE_HZ = 2000.0
@@ -109,3 +112,33 @@ def test_a_number_at_its_limit_loses_to_one_that_is_told():
     two = [Candidate(block, StaticDynamics(n_outputs=1), at_limit=held) for held in (True, False)]
     trials = [trial_of("", one, [read], [Start("rest")], invertible=True) for one in two]
     assert chosen(trials) == 1
+
+
+def held_then_triangles(made, hz, cut_s, cycles=20):
+    """From +90 to 0 V, a step to -90 V, 1.5 s of rest, triangles; the beginning is cut off after the step."""
+    period = round(RATE_HZ / hz)
+    rising = 1.0 - np.abs(2.0 * np.arange(period) / period - 1.0)
+    u = np.concatenate([[0.0], np.full(3000, -90.0), np.tile(180.0 * rising - 90.0, cycles)])[None]
+    y = made.record(u, np.random.default_rng(int(hz)), ((90.0, 0.0),))
+    first = 1 + round(cut_s * RATE_HZ)
+    return Record(u[:, first:], y[:, first:], 1.0 / RATE_HZ, ("u",), ("x",), f"{hz:g} Hz")
+
+
+@pytest.mark.parametrize("cut_s", [0.0, 0.2, 0.7, 1.5])
+def test_records_that_begin_while_they_creep_predict_another_whatever_is_cut(cut_s):
+    made = stage(creep=((0.05, 0.6),), lag_s=1e-3)
+    fitted = [held_then_triangles(made, hz, cut_s, cycles) for hz, cycles in ((20.0, 20), (100.0, 60))]
+    model, fit = identify(fitted, validation=[held_then_triangles(made, 40.0, cut_s)])
+    assert fit.validation[fit.kind].nrmse_percent[0] < 0.3
+    axis = model.dynamics.axes[0]
+    assert axis.lag_s == pytest.approx(1e-3, rel=0.05)
+    assert sum(mode.gain for mode in axis.creep) == pytest.approx(0.05, rel=0.35)
+
+
+def test_two_slow_modes_at_one_time_stand_for_one():
+    twice = tuple(CreepMode(gain=0.03, time_constant_s=time_s) for time_s in (0.60, 0.62))
+    fit = AxisFit(Axis(creep=twice), None, None, (0.001, 0.001), 0.1, 1.0)
+    read = [held_then_triangles(stage(), 20.0, 0.0)]
+    assert not creep_identified(fit, read)
+    apart = (twice[0], twice[1].model_copy(update={"time_constant_s": 1.3}))
+    assert creep_identified(replace(fit, axis=Axis(creep=apart)), read)

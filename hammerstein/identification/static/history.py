@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -33,6 +34,11 @@ TURN_WORTH = 0.1
 """The same for a voltage at which an input may have turned: one is chosen of many."""
 TURNS, TURN_ROUNDS, START_ROUNDS = 21, 2, 4
 """Voltages tried at which an input may have turned last, and how often the search goes round."""
+DECAYS = (0.1, 0.3, 1.0)  # time constants, in parts of a record, that are looked for in what is left
+PARTS_LEFT = (0.05, 0.5, 0.95)
+"""Parts of a step's creep still to come for which a record is tried: the error is a parabola of the part."""
+ENDS = ("low", "high")
+"""Of the range, from which a record may have stepped while that still creeps."""
 KINDS = ("rest", "virgin", "stepped", "low", "high")
 """What may have gone before a record."""
 ALIKE = 2.0  # error of the beginning, in parts of that of the rest
@@ -72,6 +78,7 @@ def judged_starts(
     settle_s: float,
     mode: StartMode = "auto",
     simpler: Sequence[Callable[[Record, Start], Array]] = (),
+    slow_s: float = 0.0,
 ) -> tuple[Start, ...]:
     """Start of each record, with a model at hand: the one that leaves the least error.
 
@@ -86,10 +93,11 @@ def judged_starts(
     settle_s : time in which the dynamics forget [s]
     mode : ``auto``; ``rest`` or ``repeated`` if it is known
     simpler : what other models predict, which are judged on the same samples
+    slow_s : time constant of the model's creep, which may have been under way; 0: it has none [s]
     """
     if mode == "rest":
         return (Start("rest"),) * len(records)
-    return tuple(_judged(record, predict, settle_s, mode, simpler) for record in records)
+    return tuple(_judged(record, predict, settle_s, mode, simpler, slow_s) for record in records)
 
 
 def own_starts(
@@ -97,17 +105,20 @@ def own_starts(
     starts: Sequence[Start],
     predict: Callable[[Record, Start], Array],
     mode: StartMode = "auto",
+    slow_s: float = 0.0,
 ) -> tuple[Start, ...]:
     """Start of each record that suits one model, on the samples that count for all of them.
 
     starts : as another model explains the records best; predict : readings that the model predicts
+    slow_s : as for ``judged_starts``
     """
     if mode != "auto":
         return tuple(starts)
-    return tuple(_own(record, start, predict) for record, start in zip(records, starts, strict=True))
+    each = zip(records, starts, strict=True)
+    return tuple(_own(record, start, predict, slow_s) for record, start in each)
 
 
-def _own(record: Record, start: Start, predict: Callable[[Record, Start], Array]) -> Start:
+def _own(record: Record, start: Start, predict: Callable[[Record, Start], Array], slow_s: float) -> Start:
     if record.period_samples is not None or (start.kind == "repeated" and closed(record)):
         return start
     choices = dict.fromkeys([start, *(replace(_of_kind(kind, record), first=start.first) for kind in KINDS)])
@@ -118,6 +129,9 @@ def _own(record: Record, start: Start, predict: Callable[[Record, Start], Array]
         return float(np.mean((error / span[:, None]).var(axis=1)))
 
     errors = {choice: left(choice) for choice in choices}
+    if slow_s:
+        creeping, error = _creeping(record, left, slow_s, start.first)
+        errors[creeping] = error
     best = min(errors, key=lambda choice: errors[choice])
     return best if errors[best] < (1.0 - WORTH) * errors[start] else start
 
@@ -128,6 +142,7 @@ def _judged(
     settle_s: float,
     mode: StartMode,
     simpler: Sequence[Callable[[Record, Start], Array]],
+    slow_s: float,
 ) -> Start:
     """Start with the least error; what is left out of the record if none explains its beginning."""
     cautious = cautious_start(record)
@@ -139,7 +154,7 @@ def _judged(
     short = forgotten.first > KEPT_SHARE * record.samples
     if mode == "repeated":
         return cautious if short else forgotten
-    best = _least(record, predict)
+    best = _least(record, predict, slow_s)
     before, after = _around(record.y_um - predict(record, best), begun, forgotten.first)
     allowed = ALIKE * after + ALIKE_FLOOR * np.ptp(record.y_um, axis=1)
     if short or bool((before <= allowed).all()):
@@ -164,7 +179,7 @@ def _around(error: Array, begun: int, first: int) -> tuple[Array, Array]:
     )
 
 
-def _least(record: Record, predict: Callable[[Record, Start], Array]) -> Start:
+def _least(record: Record, predict: Callable[[Record, Start], Array], slow_s: float = 0.0) -> Start:
     """Of all that may have gone before, what leaves the least error; a simpler past is preferred."""
     left = partial(_left, record, predict)
     order = ("stepped", "rest", "virgin") if moves_while_held(record) else ("rest", "virgin", "stepped")
@@ -174,8 +189,11 @@ def _least(record: Record, predict: Callable[[Record, Start], Array]) -> Start:
     errors = [left(start) for start in choices]
     best = next(i for i, error in enumerate(errors) if error <= (1.0 + WORTH) * min(errors))
     least, start = errors[best], choices[best]
-    turned, error = _turned(record, left)
-    return turned if error < (1.0 - TURN_WORTH) * least else start
+    further = [_turned(record, left)] + ([_creeping(record, left, slow_s)] if slow_s else [])
+    for other, error in further:
+        if error < (1.0 - TURN_WORTH) * least:
+            least, start = error, other
+    return start
 
 
 def _left(record: Record, predict: Callable[[Record, Start], Array], start: Start) -> float:
@@ -205,6 +223,55 @@ def _turned(record: Record, left: Callable[[Start], float]) -> tuple[Start, floa
             if errors[best] < least:
                 least, turn = errors[best], trials[best]
     return start(turn), least
+
+
+def _creeping(
+    record: Record, left: Callable[[Start], float], slow_s: float, first: int = 0
+) -> tuple[Start, float]:
+    """How long before the record it stepped from an end of its range, while that still creeps; the error.
+
+    What is still to come of the creep, exp(-t / slow_s) after the time t, enters the readings linearly: its
+    best part is the lowest point of the parabola through the errors of three.
+    """
+    time = slow_s / record.sample_time_s
+
+    def start(end: str, part: float) -> Start:
+        return replace(stepped_from(end, record, round(-time * math.log(part))), first=first)
+
+    tried: dict[Start, float] = {}
+    for end in ENDS:
+        errors = [left(start(end, part)) for part in PARTS_LEFT]
+        curved, slope, _ = np.polyfit(PARTS_LEFT, errors, 2)
+        part = -0.5 * slope / curved if curved > 0.0 else PARTS_LEFT[int(np.argmin(errors))]
+        best = start(end, float(np.clip(part, PARTS_LEFT[0], PARTS_LEFT[-1])))
+        tried[best] = left(best)
+    return min(tried.items(), key=lambda one: one[1])
+
+
+def stepped_from(end: str, record: Record, samples: int) -> Start:
+    """Start of a record that stepped from an end of its range, so many samples before."""
+    return Start("stepped", 0, _of_kind(end, record).turn_v, max(samples, 1))
+
+
+def decays(error: Array) -> bool:
+    """Whether a decay explains a part of errors (output, sample) that another start is worth.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 1.0, 500)
+    >>> decays(np.exp(-4.0 * t)[None]), decays(np.sin(200.0 * t)[None])
+    (True, False)
+    """
+    t = np.linspace(0.0, 1.0, error.shape[1])
+    about = error - error.mean(axis=1, keepdims=True)
+    power = np.sum(about**2, axis=1)
+    for span in DECAYS:
+        decay = np.exp(-t / span)
+        decay -= decay.mean()
+        explained = (about @ decay) ** 2 / float(decay @ decay)
+        if (explained > TURN_WORTH * np.maximum(power, np.finfo(float).tiny)).any():
+            return True
+    return False
 
 
 def alike_starts(records: Sequence[Record]) -> dict[str, tuple[Start, ...]]:

@@ -54,11 +54,13 @@ class Start:
         before, too
     first : first sample that counts; earlier ones only fill the memory
     turn_v : (input, 2) voltage at which the plays stood at first, and the one at which it turned last [V]
+    held : samples for which the first voltage had been held after a step from there: what creeps goes on
     """
 
     kind: Literal["rest", "stepped", "turned", "repeated"]
     first: int = 0
     turn_v: tuple[tuple[float, float], ...] = ()
+    held: int = 0
 
     def plays_v(self, first_v: float, thresholds_v: Array, input_: int) -> Array:
         """Outputs of the plays of one input before the record (operator,) [V].
@@ -73,9 +75,9 @@ class Start:
         if self.kind in ("rest", "repeated"):
             return np.zeros(len(r))
         middle, turn = self.turn_v[input_]
-        if self.kind == "stepped":
-            return np.full(len(r), middle)
         held = np.maximum(turn - r, np.minimum(turn + r, middle))
+        if self.kind == "stepped":
+            return np.asarray(held)
         return np.asarray(np.maximum(first_v - r, np.minimum(first_v + r, held)))
 
 
@@ -87,7 +89,7 @@ def delayed(record: Record, start: Start, samples: int) -> Array:
     if start.kind == "rest":
         u[:, :samples] = 0.0
     elif start.kind == "stepped":
-        u[:, :samples] = np.array(start.turn_v)[:, :1]
+        u[:, :samples] = record.u_v[:, :1] if start.held else np.array(start.turn_v)[:, 1:]
     elif start.kind == "turned":
         u[:, :samples] = record.u_v[:, :1]
     return u
@@ -137,7 +139,12 @@ class PlayColumns(NamedTuple):
         plays = [start.plays_v(float(u[0]), grid, k) for k, (u, grid) in each]
         signs = _first_signs(u_v, plays, grids) if with_derivatives else None
         held = _held(plays, signs)
-        before = (x for _, x in _blocks(u_v, grids, plays, signs)) if start.kind == "repeated" else ()
+        before: Iterable[Array] = ()
+        if start.kind == "repeated":
+            before = (x for _, x in _blocks(u_v, grids, plays, signs))
+        elif start.held:
+            [(_, at_first)] = _blocks(u_v[:, :1], grids, plays, signs)
+            before = (np.repeat(at_first, start.held, axis=1),)
         return cls(held, before, _blocks(u_v, grids, plays, signs))
 
     def kept(self) -> PlayColumns:
@@ -210,10 +217,12 @@ class Regressors:
         """First sample and rows of each block from ``start.first`` on, behind the filters and a delay."""
         values = np.roll(self.values, delay_samples, axis=1) if delay_samples else self.values
         if delay_samples and start.kind != "repeated":
-            values[:, :delay_samples] = self.held[:, None]
+            values[:, :delay_samples] = self.values[:, :1] if start.held else self.held[:, None]
         states = [block.settled(self.held) for block in filters]
         if start.kind == "repeated":
             _filtered(values, filters, states)
+        elif start.held:
+            _filtered(np.repeat(values[:, :1], start.held, axis=1), filters, states)
         for k in range(0, values.shape[1], BLOCK):
             passed = _filtered(values[:, k : k + BLOCK], filters, states)
             skip = max(start.first - k, 0)
