@@ -173,6 +173,8 @@ def parallel():
         rate_dependent(flattening=1e-3).hysteresis,
         bouc_wen().hysteresis,
         asymmetric(smallest_v=1.5).hysteresis.plays,
+        generalised(20.0).hysteresis,
+        preisach().hysteresis,
     )
     return replace(
         around,

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
@@ -23,6 +24,7 @@ from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, writ
 from hammerstein.export.operations import Code
 from hammerstein.export.request import request_of
 from hammerstein.export.worst_case_step import worst_case_step
+from hammerstein.hysteresis import Preisach
 from hammerstein.hysteresis.busy_kernels import WINDOW
 from hammerstein.model import HammersteinModel
 
@@ -59,6 +61,17 @@ def test_code_that_turns_all_the_time_and_then_does_not_keeps_every_bit(name):
     loud = np.random.default_rng(4).uniform(-1.0, 1.0, slow.shape)
     signal = 5.0 * np.hstack([slow, loud, slow, loud, slow])
     assert _same_bits(library.respond(signal)[0], code.block.respond(signal)[0])
+
+
+def test_a_sample_of_a_plane_of_relays_costs_the_same_whatever_its_grid():
+    """Operations of a step at most, as they are counted in its C code."""
+    export = case("preisach model")
+    costs = []
+    for cells in (5, 40):
+        triangle = np.tril(np.ones((cells, cells)))
+        block = Preisach([0.0, 0.0], [100.0, 100.0], [[triangle] * 2] * 2)
+        costs.append(replace(export, model=replace(export.model, hysteresis=block)).code().cost.operations)
+    assert costs[0] == costs[1]
 
 
 @needs_compiler
