@@ -113,7 +113,7 @@ def _side(w, k, row, most, rises, plane, memory, value, slope, home, ends):  # t
         limit = x[k, s - 1] if s > 0 else end_of_plane
         level = low[k] + (i + side) * size[k] if i + side < cells[k] else high[k]
         until = min(level, limit) if rises else max(level, limit)
-        if (until - z if rises else z - until) > 0.0:
+        if until > z if rises else until < z:
             begin = branch(k, turn, origin, rises, i, low, size, cells, node, value, slope)
             for o in range(at.shape[0]):
                 w[k, row + pieces].zone_slope[o] = slope[o]
