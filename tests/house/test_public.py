@@ -123,7 +123,7 @@ def test_a_model_simulates_and_compensates_by_a_method():
     assert np.abs(response.position_um - path).max() < 0.05  # steps of the converter, 1 mV, through 12 um/V
     same = model.compensate(path, law=hammerstein.HammersteinInverse())
     np.testing.assert_array_equal(same.drive_v, found.drive_v)
-    with pytest.raises(hammerstein.InputError, match="give softening_v to HammersteinInverse itself"):
+    with pytest.raises(hammerstein.InputError, match="pass softening_v to HammersteinInverse itself"):
         model.compensate(path, law=hammerstein.HammersteinInverse(), softening_v=0.1)
     with pytest.raises(hammerstein.InputError, match="did you mean softening_v"):
         model.compensate(path, softning_v=0.1)
