@@ -30,7 +30,7 @@ from hammerstein.records.array_files import (
 from hammerstein.records.checks import gap_mistakes
 from hammerstein.signals.signal_files import OF_TIME
 from hammerstein.signals.text_tables import FORMATS, find_layout, read_text, where
-from hammerstein.signals.units import Kind, Unit, unit_in, without_unit
+from hammerstein.signals.units import Kind, Unit, bracketed, unit_in, without_unit
 
 TIME_NAMES = (*OF_TIME, "x-axis")
 """Names of a time column, without their unit and in any case."""
@@ -79,7 +79,9 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         values, stated = array_columns(path, wanted)
-        units = [unit or column.split(":")[0] for unit, column in zip(stated, wanted, strict=True)]
+        units = [
+            bracketed(unit or "") or column.split(":")[0] for unit, column in zip(stated, wanted, strict=True)
+        ]
         return _columns(path, tuple(wanted), values, np.arange(1, values.shape[1] + 1), units)
     if suffix in PARQUET:
         return _parquet_columns(path, wanted)
@@ -94,7 +96,7 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
 
 def _unit_text(index: int, names: Sequence[str], units: Sequence[str]) -> str:
     """Where the unit of a column is to be looked for: in the row of units, or in its name."""
-    beneath = units[index] if units else ""
+    beneath = bracketed(units[index]) if units else ""
     return beneath or (names[index] if names else "")
 
 
@@ -121,7 +123,9 @@ class Header:
         suffix = path.suffix.lower()
         if suffix in SUFFIXES:
             arrays = {name: unit for name, unit in array_units(path).items() if name}
-            return cls(tuple(arrays), tuple(unit_in(unit or name) for name, unit in arrays.items()))
+            return cls(
+                tuple(arrays), tuple(unit_in(bracketed(unit or "") or name) for name, unit in arrays.items())
+            )
         if suffix in PARQUET:
             names: Sequence[str] = _parquet_names(path)
             return cls(tuple(names), tuple(map(unit_in, names)))

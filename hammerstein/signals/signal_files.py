@@ -15,7 +15,7 @@ from hammerstein.files import refuse_size
 from hammerstein.quantities import POSITION_UM, size
 from hammerstein.runtime.resources import free_bytes
 from hammerstein.signals.text_tables import find_layout, read_text, where
-from hammerstein.signals.units import BASE, Kind, Unit, axis_name, unit_in
+from hammerstein.signals.units import BASE, Kind, Unit, axis_name, bracketed, unit_in
 
 OF_TIME = ("time", "t", "zeit")
 """Names of a column of time, without its unit."""
@@ -35,7 +35,9 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     _refuse_large(path)
     layout = find_layout(path)
     units = layout.units or [""] * layout.width
-    names = [f"{name} [{unit}]" if unit else name for name, unit in zip(layout.names, units, strict=False)]
+    names = [
+        f"{name} {bracketed(unit)}" if unit else name for name, unit in zip(layout.names, units, strict=False)
+    ]
     time = _time_in(names)
     if time is None or len(names) < 2:
         with path.open(encoding=layout.encoding) as file:

@@ -79,11 +79,9 @@ def displacement_factor(units: str) -> float:
 def is_unit(word: str) -> bool:
     """Whether a word may stand in a row of units."""
     word = word.strip()
-    bracketed = IN_BRACKETS.match(word)
-    inner = bracketed["unit"] if bracketed and not bracketed["name"] else word
-    return (
-        (bracketed is not None and not bracketed["name"]) or inner.lower() in NO_UNIT or bool(unit_of(inner))
-    )
+    found = IN_BRACKETS.match(word)
+    inner = found["unit"] if found and not found["name"] else word
+    return (found is not None and not found["name"]) or inner.lower() in NO_UNIT or bool(unit_of(inner))
 
 
 def _match(name: str) -> re.Match[str] | None:
@@ -109,6 +107,18 @@ def unit_in(name: str) -> Unit | None:
     """
     match = _match(name)
     return unit_of(match["unit"]) if match else None
+
+
+def bracketed(unit: str) -> str:
+    """Unit that a file states beside a name, in brackets: a lone ``V`` there is no part of a name.
+
+    Examples
+    --------
+    >>> bracketed("V"), bracketed("(nm)"), bracketed("")
+    ('[V]', '(nm)', '')
+    """
+    unit = unit.strip()
+    return f"[{unit}]" if unit and not IN_BRACKETS.match(unit) else unit
 
 
 def axis_name(column: str) -> str:

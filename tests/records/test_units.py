@@ -61,6 +61,22 @@ def test_an_axis_is_called_without_the_unit_of_its_column(tmp_path, header, inpu
     assert (record.inputs, record.outputs) == (inputs, outputs)
 
 
+@pytest.mark.parametrize(
+    ("units", "factors"),
+    [("s,V,um", (1.0, 1.0)), ("[s],[V],[nm]", (1.0, 1e-3)), ("s,V,m", (1.0, 1e6)), ("ms,v,nm", (1.0, 1e-3))],
+)
+def test_a_letter_in_a_row_of_units_is_a_unit(tmp_path, units, factors):
+    """A lone V, s or m may be part of a name, but not in a row of units: columns are found by it."""
+    to_s = 1e-3 if units.startswith("ms") else 1.0
+    path = tmp_path / "loop.csv"
+    rows = np.column_stack([TIME / to_s, U / factors[0], X / factors[1]])
+    path.write_text(f"time,voltage,position\n{units}\n" + table_text(rows))
+    (record,) = read_records([path])
+    assert (record.inputs, record.outputs) == (("voltage",), ("position",))
+    np.testing.assert_allclose(record.u_v[0], U, atol=1e-7)
+    np.testing.assert_allclose(record.y_um[0], X, atol=1e-1 if factors[1] == 1e6 else 1e-6)
+
+
 def test_a_voltage_is_no_displacement(tmp_path):
     path = tmp_path / "loop.csv"
     path.write_text("t,u [V],x [um]\n" + table_text(np.column_stack([TIME, U, X])))

@@ -101,7 +101,10 @@ def test_file_mistakes_name_the_row(tmp_path, text, message):
         read_signal(path)
 
 
-@pytest.mark.parametrize("text", ["t [ms];x\n0;0,5\n10;-1,25\n", "t\tx\nms\tum\n0\t0.5\n10\t-1.25\n"])
+@pytest.mark.parametrize(
+    "text",
+    ["t [ms];x\n0;0,5\n10;-1,25\n", "t\tx\nms\tum\n0\t0.5\n10\t-1.25\n", "t,x\n[ms],[nm]\n0,500\n10,-1250\n"],
+)
 def test_a_path_is_read_as_a_record_is(tmp_path, text):
     """Separators, decimal commas and a row of units."""
     path = tmp_path / "path.csv"
