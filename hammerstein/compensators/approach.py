@@ -1,4 +1,4 @@
-"""A path whose holds are all reached from one side: unknown backlash is then the same in each of them."""
+"""Approach of every hold of a path from one side: unknown backlash then shifts all holds alike."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from hammerstein.errors import InputError
 from hammerstein.signals import smooth_step
 
 SHORTEST_HOLD_S, LONGEST_DETOUR_S = 0.08, 1.0
-"""A detour takes the first half of a hold, at most so long; in a shorter hold there is no time for one."""
+"""Shortest hold that has a detour, and its longest detour [s]; a detour takes at most half of a hold."""
 STILL = 1e-9
-"""Of the path's largest value: what an output that holds still may move by between two samples."""
+"""Largest change between two samples of a hold, in parts of the largest position of the path."""
 
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """A path with detours, and what was done for each output.
+    """A path with detours, and their number for each output.
 
-    path_um : (p, N); detours, right, short : (p,) holds with a detour, those that the path reaches from the
-        right side anyway, and those that are too short for a detour
+    path_um : (p, N) path with detours [um]
+    distance_um : (p,) length of each detour [um], negative for an approach from below
+    detours, right, short : (p,) number of holds with a detour, of holds that the path itself reaches from the
+        right side, and of holds that are too short for a detour
     """
 
     path_um: Array
@@ -32,7 +34,7 @@ class Approach:
     short: tuple[int, ...]
 
     def statement(self, outputs: Sequence[str]) -> str:
-        """Say from where the holds of each output are reached, and by which of them this is not so."""
+        """State how many holds of each output are reached from which side."""
         parts = []
         for o, name in enumerate(outputs):
             side = "below" if self.distance_um[o] < 0.0 else "above"
@@ -45,7 +47,7 @@ class Approach:
 def approached(reference_um: Array, distance_um: Sequence[float], sample_time_s: float) -> Approach:
     """Reach every hold of a path from one side: go past it first, and come back.
 
-    A hold is a part of at least 0.08 s in which an output stands still. Unless the output has already moved
+    A hold is a part of at least 0.08 s in which an output does not move. Unless the output has already moved
     towards it for the whole distance from the right side, the first half of the hold goes to
     ``hold + distance`` and back, by two fifth-order steps. The times of the path stay as they are.
 
@@ -106,7 +108,7 @@ def _of_output(row: Array, away: float, sample_time_s: float) -> tuple[Array, in
 
 
 def _holds(row: Array) -> Iterator[tuple[int, int]]:
-    """First sample and end of each part in which an output stands still for three samples or more."""
+    """First sample and end of each part in which an output does not move for three samples or more."""
     still = np.abs(np.diff(row)) <= STILL * max(float(np.abs(row).max()), 1e-12)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
     for first, last in edges.reshape(-1, 2).tolist():
