@@ -16,8 +16,9 @@ from hammerstein.identification.in_loop.search import SettledPeriod
 FAR = 1e3
 """What a simulation that diverged counts as, in parts of the largest position."""
 ROUNDS = 60
-"""Most steps of a search; it ends before where a step gains less than a thousandth of a percent."""
+"""Most steps of a search: no trial gained in more of them."""
 GAINED = 1e-5
+"""Part of the sum of squares that a step must gain: less is rounding of differences beside noise."""
 
 
 class Adjustable(Protocol):
