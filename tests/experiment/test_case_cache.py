@@ -265,7 +265,7 @@ def test_numbers_alone_are_kept_and_read(store):
     for name, array in arrays.items():
         np.testing.assert_array_equal(found.arrays[name], array, strict=True)
     store.write(key, Kept(None, {"objects": np.array([_Executes()])}))
-    with pytest.warns(Notice, match="spoilt"):
+    with pytest.warns(Notice, match="damaged"):
         assert store.read(key) is None
 
 
