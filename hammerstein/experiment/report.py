@@ -46,6 +46,10 @@ class Band(Keyed):
     p95_um: float
 
 
+TOO_FEW = "too few draws"
+"""For sensitivity indices to mean something."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity(Keyed):
     """Part of the variance of one metric of one row that is due to one uncertain parameter.
@@ -62,6 +66,11 @@ class Sensitivity(Keyed):
     total: float
     total_low: float
     total_high: float
+
+    @property
+    def is_estimated(self) -> bool:
+        """Whether there were enough draws: no parameter does more alone than together with others."""
+        return self.first <= self.total
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +122,12 @@ class Report(NotebookRepr):
         judgements = f", {len(self.judgements)} judgements" if self.judgements else ""
         counts = f"{len(self.rows)} rows, {len(self.traces)} traces{judgements}"
         return f"Report({self.name!r} on {self.actuator}: {counts})"
+
+    @property
+    def reading_first(self) -> bool:
+        """Whether its assessment is about what the sensor reads."""
+        asked = self.scenario.assessment
+        return asked is not None and asked.reading_first
 
     @property
     def reads_truth(self) -> bool:

@@ -42,12 +42,14 @@ CAPTIONS = {
     "operators": (
         "Error against the number of operators",
         "Lines: cross-validation error against the number of operators, without fitted thresholds. "
-        "The grey bar and the stars mark this model.",
+        "The grey bar and the stars mark this model; the legend gives its records, and whether its "
+        "thresholds are fitted.",
     ),
     "response": (
         "Gain over frequency",
         "Gain of each pair, estimated from the records and, in the same way, from the model's "
-        "predictions. Below: the fraction of each output's power that the inputs explain linearly.",
+        "predictions. Coherence: the fraction of each output's power that the inputs explain linearly. "
+        "Where it is below 0.5, the gain would be scatter and is not drawn.",
     ),
 }
 
@@ -98,9 +100,7 @@ def fit_page(
         heading=Markdown("# Fit report of {}").format(model.name),
         what="Fit report",
         title=f"How far to trust {model.name}",
-        answer=paragraphs(
-            [points(summary(model, fit, asked)), *map(markdown, (headline(model, fit), fit.verdict))]
-        ),
+        answer=paragraphs([points(summary(model, fit, asked)), markdown(fit.verdict)]),
         facts=[
             KIND_NAMES[fit.kind],
             f"records: {', '.join(PurePath(record.source).name for record in fit.records)}",
@@ -142,9 +142,7 @@ def write_fit(
 
 def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> list[Markdown]:
     """Whether the model is usable and for what, three numbers, and the next command."""
-    worst = max(fit.judged[fit.kind].nrmse_percent)
-    records = "validation records" if fit.validation else "the fitted records, no validation record"
-    numbers = [f"Error: {percent(worst / 100.0)} of the range, rms of the worst output ({records})."]
+    numbers = [_error(fit)]
     if "linear" in fit.judged and fit.kind != "linear":
         linear = max(fit.judged["linear"].nrmse_percent)
         numbers.append(f"Error of a linear gain: {percent(linear / 100.0)}.")
@@ -155,18 +153,26 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
     )
     said, command = next_step(model, fit, asked)
     after = Markdown("{} {}").format(said, code(command)) if command else markdown(said)
-    return [*map(markdown, [_usable(fit), *numbers]), after]
+    return [Markdown("**{}**{}").format(*_usable(fit)), *map(markdown, numbers), after]
 
 
-def _usable(fit: Fit) -> str:
-    """What the model is good for."""
+def _error(fit: Fit) -> str:
+    """Rms error of each output, and the largest as a share of the range."""
+    score = fit.judged[fit.kind]
+    each = ", ".join(f"{um:.3g} um on {name}" for name, um in zip(fit.outputs, score.rms_um, strict=True))
+    worst = percent(max(score.nrmse_percent) / 100.0)
+    records = "validation records" if fit.validation else "fitted records"
+    return f"Rms error: {each}; at most {worst} of the range ({records})."
+
+
+def _usable(fit: Fit) -> tuple[str, str]:
+    """What the model is good for, and what limits that."""
     if not fit.invertible:
-        return "Usable for simulation only: the model has no inverse."
+        return "Usable for simulation only", ": the model has no inverse."
     if fit.flags:
-        return "Usable with care: the records show effects that the model cannot represent (see below)."
-    if not fit.validation:
-        return "Usable for simulation and compensation; untested on other records."
-    return "Usable for simulation and compensation."
+        return "Usable with care", ": the records show effects that the model cannot represent (see below)."
+    untested = "." if fit.validation else "; untested on other records."
+    return "Usable for simulation and compensation", untested
 
 
 def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> tuple[str, str]:
@@ -189,23 +195,6 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
 
 def _command(*words: str) -> str:
     return f"hammerstein {shlex.join(words)}"
-
-
-def headline(model: HammersteinModel, fit: Fit) -> str:
-    """How far the model is off, in one sentence."""
-    score = fit.judged[fit.kind]
-    shares, rms = score.nrmse_percent, score.rms_um
-    off = " and ".join(
-        f"{um:.3g} um on {name} ({percent(share / 100.0)} of its range)"
-        for name, um, share in zip(fit.outputs, rms, shares, strict=True)
-    )
-    where = (
-        "on the validation records"
-        if fit.validation
-        else "on the fitted records; there is no validation record"
-    )
-    warned = " The records show effects that it cannot represent: see below." if fit.flags else ""
-    return f"Rms error of the model {model.name}: {off}, {where}.{warned}"
 
 
 def _body(model: HammersteinModel, fit: Fit) -> Markdown:

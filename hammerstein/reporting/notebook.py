@@ -71,7 +71,7 @@ def _(response: Response) -> Figure | None:
         return None
     length = float(np.ptp(time_s))
     names = response.outputs or tuple(f"y{o + 1}" for o in range(len(position)))
-    run = PathRun("position", "", time_s, response.reference_um, position, None, length)
+    run = PathRun("position", "", time_s, response.reference_um, position, length)
     return path_figure([run], names, "reference")
 
 

@@ -48,13 +48,14 @@ CAPTIONS = {
     "operators": "Rms error of models that differ only in their number of play operators.",
     "loops": "One row of panels for each measured axis, one column for each driven axis. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "Against a reference: the true position, for a path its distance first, then the sensor's "
-    "reading of each axis. Against a prediction: the sensor's reading. Where one curve would hide others, "
-    "the scale is logarithmic; for errors with a sign, beyond the value in the label. The legend gives the "
-    "worst error of the whole run, even if the figure shows a part of it.",
+    "errors": "Error of the true position; for models, the reading minus the prediction. A path shows its "
+    "distance first, on a logarithmic scale if one curve would hide another. More than four compensators "
+    "share several panels of distances. The legend gives the worst error of the whole run, even if the "
+    "figure shows a part of it.",
     "drift": "Mean error of the true position over each measured cycle, for the driven axis.",
-    "path": "(a) the path in the plane, (b) the axes over time. Thin short dashes show the reference or "
-    "prediction. The legend gives the worst distance of the whole run.",
+    "path": "The path in the plane, then each axis over time; more than four compensators share several "
+    "planes. Thin short dashes show the reference or prediction. The legend gives the worst distance of the "
+    "whole run.",
 }
 
 IS_TRUE = '"True" is the actuator\'s position, without the sensor.'
@@ -230,7 +231,7 @@ def figure_of(name: str, report: Report) -> Shown:
         **dict.fromkeys(("sweep", "sweep_true"), identified + banded),
         "trials_true": banded,
         "trials": banded,
-        "path": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
+        "errors": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
         + ["Dots are samples, few in each turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
@@ -245,7 +246,7 @@ def _lag(report: Report) -> str:
     """What a first-order sensor alone opens of a straight loop: sin(atan(f / f_b)) of its height."""
     bandwidth = report.instruments.sensor.bandwidth_hz
     highest = max(row.frequency_hz for row in report.rows)
-    if math.isinf(bandwidth):
+    if math.isinf(bandwidth) or not report.reading_first:
         return ""
     opened = math.sin(math.atan(highest / bandwidth))
     return (

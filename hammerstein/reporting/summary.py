@@ -162,20 +162,18 @@ def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
     The true position comes first, or the reading, where that is what the scenario's assessment is about.
     An ideal sensor leaves one of the two.
     """
-    asked = report.scenario.assessment
-    reading_first = asked is not None and asked.reading_first
     target = "reference" if report.scenario.reference is not None else "prediction"
     contest = Contest.of(report, quote)
     if is_path(report):
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
         true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
-        merits = (reading, true) if reading_first else (true, reading)
+        merits = (reading, true) if report.reading_first else (true, reading)
         yield from _sentences(report.rows, merits[0], contest)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
-    reads = reading_first or report.reads_truth
+    reads = report.reading_first or report.reads_truth
     name, of = ("rms_um", "") if reads else ("rms_true_um", " of the true position")
     yield from _sentences(direct, Merit(name, f"rms error{of} (direct transfers)"), contest)
     yield from _sentences(crossed, Merit(name, f"rms error{of} (cross-couplings)"), contest)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from hammerstein.escaping import Markdown
-from hammerstein.experiment.report import Band, Report, Sensitivity
+from hammerstein.experiment.report import TOO_FEW, Band, Report, Sensitivity
 from hammerstein.experiment.selection import (
     Condition,
     banded_metric,
@@ -195,7 +195,7 @@ def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTa
             lines.append((*key, transfer, *(_index(one) for one in found)))
     title = (
         f"Causes of the spread: share of the variance of the {words} of the true position, for each "
-        "parameter with its interactions (95 % limits)"
+        f"parameter with its interactions (95 % limits); {TOO_FEW}: the parameter alone has more"
     )
     header = (*_key_header(report, rows), "transfer", *parameters)
     return NumberTable(title, header, tuple(lines), remark)
@@ -204,6 +204,8 @@ def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTa
 def _index(found: Sensitivity | None) -> str:
     if found is None:
         return ""
+    if not found.is_estimated:
+        return TOO_FEW
     return f"{found.total:.2f} ({found.total_low:.2f} to {found.total_high:.2f})"
 
 

@@ -13,13 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from hammerstein.experiment.report import Report
+from hammerstein.experiment.report import Report, Sensitivity
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
-from hammerstein.reporting.figures.path import PathRun, path_figure
+from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
+from hammerstein.reporting.figures.sensitivity import SensitivityBars, sensitivity_figure
 from hammerstein.reporting.figures.style import letter, line_style, new_figure, styled
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
 
@@ -172,8 +173,46 @@ def test_sweep_of_an_uncertain_actuator_has_bands() -> None:
     assert legend_texts(figure)[-2:] == ["median, 5 to 95 % of drawn actuators", "nominal actuator"]
     nominal = next(r for r in report.rows if r.key() == {n: getattr(band, n) for n in r.key()})
     at = list(FIVE["frequency_hz"]).index(band.frequency_hz)
-    thin, middle = (line.get_ydata()[at] for line in figure.axes[0].lines[:2])
+    middle, thin = (figure.axes[0].lines[k].get_ydata()[at] for k in (0, -1))
     assert (thin, middle) == (nominal.rms_um, band.median_um)
+
+
+@pytest.mark.parametrize("x", [[10.0, 20.0, 30.0], [1.0, 10.0, 100.0]])
+def test_bands_of_several_compensators_stand_beside_each_other(x: list[float]) -> None:
+    """Areas would hide each other: every band has bars of its own from its lower to its upper edge."""
+    at, values = np.array(x), np.array([[[1.0, 2.0, 3.0]]])
+    band = (0.5 * values, 2.0 * values)
+    curves = [SweepCurve(label, at, values, band=band, nominal=values) for label in "abc"]
+    (axes,) = sweep_figure(curves, [["x"]], "rms error").axes
+    assert not axes.collections
+    bars = [line for line in axes.lines if np.isnan(line.get_ydata()).any()]
+    places = np.array([line.get_xdata()[::3] for line in bars])
+    assert len({line.get_color() for line in bars}) == 3
+    assert (np.diff(places, axis=0) > 0.0).all()
+    np.testing.assert_allclose(places[1], x)
+    for line in bars:
+        ends = np.reshape(line.get_ydata(), (-1, 3))[:, :2]
+        np.testing.assert_allclose(ends, np.transpose([band[0][0, 0], band[1][0, 0]]))
+
+
+def test_an_index_that_too_few_draws_give_is_not_drawn() -> None:
+    index, none = [0.4, 0.3, 0.5], [np.nan] * 3
+    bars = SensitivityBars("exact", ("weights", "noise"), np.array([index, none]), np.array([index, none]))
+    (axes,) = sensitivity_figure([bars]).axes
+    assert [text.get_text().strip() for text in axes.texts] == ["too few draws"]
+    assert [patch.get_width() for patch in axes.patches] == [0.4, 0.4, 0.0]
+    assert not Sensitivity(
+        **{"metric": "rms_um", "parameter": "noise", "compensator": "a", "excited_axis": "x"},
+        **{"measured_axis": "x", "frequency_hz": 1.0},
+        **{
+            "first": 0.3,
+            "first_low": 0.2,
+            "first_high": 0.4,
+            "total": 0.2,
+            "total_low": 0.1,
+            "total_high": 0.3,
+        },
+    ).is_estimated
 
 
 def test_path_shows_every_radius_and_its_legend_the_worst_distance_of_the_largest() -> None:
@@ -184,10 +223,9 @@ def test_path_shows_every_radius_and_its_legend_the_worst_distance_of_the_larges
     assert sizes == pytest.approx([15.0, 40.0], rel=1e-3)
     assert len(plane.lines) == 2 * 2 + 2
     row = next(r for r in report.rows if r.compensator == "paper" and r.amplitude_um == 40.0)
-    assert (
-        legend_texts(figure)[0]
-        == f"paper (worst {row.euclidean_max_um:.2f} µm, true {row.euclidean_max_true_um:.2f} µm)"
-    )
+    assert legend_texts(figure)[0] == f"paper (worst {row.euclidean_max_true_um:.2f} µm)"
+    assert [axes.get_title("left") for axes in figure.axes] == ["(a)", "(b)", "(c)"]
+    assert figure.legends[0].get_title().get_text() == "Circle: true position"
 
 
 @pytest.mark.parametrize("every", [1, 7, 20, 57, 130])  # 400 to 3 samples a turn
@@ -195,7 +233,7 @@ def test_a_circle_is_drawn_as_a_circle_however_few_samples_are_kept(every: int) 
     time_s = 50e-6 * np.arange(0, 801, every)
     turn = 2.0 * np.pi * 50.0 * time_s
     circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
-    run = PathRun("", "", time_s, circle, circle + 2.0, None, 0.02, closes=True, lap_s=0.02)
+    run = PathRun("", "", time_s, circle, circle + 2.0, 0.02, closes=True, lap_s=0.02)
     plane = path_figure([run], ["x", "y"], "reference").axes[0]
     drawn, target = (np.array(plane.lines[k].get_data()) for k in (0, -1))
     for points, centre in ((drawn, 2.0), (target, 0.0)):
@@ -223,27 +261,21 @@ def test_errors_of_a_path_keep_the_worst_sample_of_the_first_lap() -> None:
         t.response for t in report.traces if t.label == "none" and t.signal.model_dump()["radius_um"] == 40.0
     ]
     lap = slice(0, round(0.02 / wire.sample_time_s) + 1)
-    off, truly = (np.abs(y - wire.reference_um)[:, lap] for y in (wire.reading_um, wire.position_um))
-    assert largest == pytest.approx([np.hypot(*truly).max(), *off.max(axis=1)])  # the true error first
-
-
-def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
-    many_passes = PAPER | {"label": "many passes", "iterations": 30}
-    report = report_of(
-        reference=CIRCLE, compensators=[many_passes, NONE], instruments={"sensor": {"bandwidth_hz": "inf"}}
+    truly = np.abs(wire.position_um - wire.reference_um)[:, lap]
+    assert largest == pytest.approx([np.hypot(*truly).max(), *truly.max(axis=1)])
+    assert figures_of(report)["errors"].legends[0].get_title().get_text() == (
+        "Circle: error of the true position"
     )
-    distances = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["errors"].axes}
-    assert distances["true\ndistance\n[µm]"] == "log"
-    (signed,) = [label for label in distances if label.startswith("$e_x$")]
-    assert distances[signed] == "symlog"
-    assert "log beyond ±" in " ".join(signed.split())
-    assert {axes.get_yscale() for axes in figures_of(circles())["errors"].axes} == {"linear"}
+    assert [axes.get_title("left") for axes in errors] == [f"({letter})" for letter in "abcdef"]
+    assert [axes.get_title("right") for axes in errors] == ["radius 15 µm", "radius 40 µm"] * 3
 
 
 def test_errors_over_a_cycle_are_those_of_the_true_position() -> None:
     report = report_of(reference=SINE_UM, compensators=[NONE])
-    figure = figures_of(report)["errors"]
-    assert figure.legends[0].get_title().get_text() == "True position minus the reference"
+    figures = figures_of(report)
+    figure = figures["errors"]
+    assert figure.legends[0].get_title().get_text() == "Error of the true position"
+    assert figures["loops"].legends[0].get_title().get_text().startswith("True position over reference")
     (trace,) = [trace for trace in report.traces if trace.excited_axis == "x"]
     wire = trace.response
     lap = slice(0, round(0.02 / wire.sample_time_s) + 1)
@@ -252,56 +284,51 @@ def test_errors_over_a_cycle_are_those_of_the_true_position() -> None:
     assert np.abs(solid_line(figure.axes[0])[:, 1]).max() == pytest.approx(off, rel=1e-3)
 
 
-def test_panels_of_errors_are_lettered_from_a_and_say_their_group() -> None:
-    (single,) = [figures_of(report_of(reference=CIRCLE, compensators=[NONE]))["errors"]]
-    assert [axes.get_title(loc="left") for axes in single.axes] == ["(a)", "(b)", "(c)"]
-    swept = report_of(reference=CIRCLE, compensators=[NONE], sweep={"radius_um": [20.0, 40.0]})
-    panels = figures_of(swept)["errors"].axes
-    assert [axes.get_title(loc="left") for axes in panels] == ["(a)", "(b)", "", "", "", ""]
-    assert [axes.get_title(loc="right") for axes in panels] == ["radius 20 µm", "radius 40 µm"] * 3
+def test_paths_of_many_compensators_are_shared_by_panels_of_the_same_kind() -> None:
+    """Nine curves hide each other: three panels of three, each with the target, on one scale."""
+    time_s = 50e-6 * np.arange(400)
+    circle = np.array([np.cos(314.0 * time_s), np.sin(314.0 * time_s)])
+    for names, target_um in ((["x", "y"], circle), (["x"], circle[:1])):
+        runs = [PathRun(f"law {k}", "", time_s, target_um, (1 + k) * target_um, 0.02) for k in range(9)]
+        path, errors = path_figure(runs, names, "reference"), path_errors_figure(runs, names)
+        assert [len(axes.lines) for axes in path.axes] == [4, 4, 4]
+        assert [len(axes.lines) for axes in errors.axes] == [3, 3, 3]
+        assert len({axes.get_ylim() for axes in errors.axes}) == 1
+        assert len(legend_texts(path)) == 10
+        assert len(legend_texts(errors)) == 9
+    four = [PathRun(f"law {k}", "", time_s, circle, (1 + k) * circle, 0.02) for k in range(4)]
+    assert [len(axes.lines) for axes in path_figure(four, ["x", "y"], "reference").axes] == [5, 5, 5]
+    assert [len(axes.lines) for axes in path_errors_figure(four, ["x", "y"]).axes] == [4, 4, 4]
 
 
-def test_no_panel_of_a_path_has_more_than_four_curves_beside_its_target() -> None:
-    passes = [PAPER | {"label": f"{n} passes", "iterations": n} for n in range(1, 7)]
-    figures = figures_of(report_of(reference=CIRCLE, compensators=passes))
-    assert list(figures) == ["path_1", "errors_1", "path_2", "errors_2"]
-    shown = [text for name in ("path_1", "path_2") for text in legend_texts(figures[name])]
-    named = [text.partition(" (")[0] for text in shown if text != "reference"]
-    assert named == [str(label["label"]) for label in passes]
-    for name, figure in figures.items():
-        assert f"({name[-1]} of 2)" in figure.legends[0].get_title().get_text()
-        assert all(len({line.get_label() for line in axes.lines} - {"target"}) <= 4 for axes in figure.axes)
-        if name.startswith("errors"):
-            assert "true distance from the reference" in figure.legends[0].get_title().get_text()
+def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
+    many_passes = PAPER | {"label": "many passes", "iterations": 30}
+    report = report_of(
+        reference=CIRCLE, compensators=[many_passes, NONE], instruments={"sensor": {"bandwidth_hz": "inf"}}
+    )
+    scales = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["errors"].axes}
+    assert scales == {"distance [µm]": "log", "$e_x$ [µm]": "linear", "$e_y$ [µm]": "linear"}
+    assert {axes.get_yscale() for axes in figures_of(circles())["errors"].axes} == {"linear"}
 
 
-def test_errors_of_an_axis_are_seen_beside_those_of_a_compensator_that_fails() -> None:
-    failing = {"label": "fails", "law": "feedback", "model": "duo_bimorph"}
-    good = {"label": "good", "law": "hammerstein_inverse", "model": "duo_bimorph"}
-    ideal = {"bandwidth_hz": "inf", "noise_um": 0, "resolution_um": 0}
-    content = {"actuator": "duo_bimorph", "instruments": {"sensor": ideal}}
-    report = report_of(reference=CIRCLE, compensators=[failing, good], **content)
-    signed = [axes for axes in figures_of(report)["errors"].axes if axes.get_yscale() == "symlog"]
-    worst = max(row.figures["euclidean_max_um"] for row in report.rows)
-    assert len(signed) == 2
-    for axes in signed:  # where the linear middle ends, and how far the failing one goes
-        (_, nearest, largest) = (tick for tick in axes.get_yticks() if tick >= 0.0)
-        assert nearest == axes.yaxis.get_transform().linthresh
-        assert 0.5 * worst < largest <= worst
+def test_errors_of_one_axis_are_seen_beside_those_of_a_compensator_that_fails() -> None:
+    time_s = 50e-6 * np.arange(400)
+    target_um = np.sin(314.0 * time_s)[None]
+    runs = [PathRun(f"{k}", "", time_s, target_um, (1.0 + k) * target_um, 0.02) for k in (1e-3, 1.0)]
+    size, signed = path_errors_figure(runs, ["x"]).axes
+    assert (size.get_yscale(), signed.get_yscale()) == ("log", "linear")
+    assert size.get_ylim()[0] < 1e-3 < 1.0 < size.get_ylim()[1]
 
 
-def test_an_error_of_rounding_neither_fills_an_axis_with_ticks_nor_stretches_it() -> None:
+def test_an_error_of_rounding_does_not_stretch_an_axis() -> None:
     """The exact inverse knows the actuator: 1e-14 um beside micrometres."""
     exact = {"label": "exact", "law": "exact_inverse", "model": "duo_bimorph_static"}
     ideal = {"bandwidth_hz": "inf", "noise_um": 0, "resolution_um": 0}
     instruments = {"sensor": ideal, "drive": {"resolution_v": 0}}
     report = report_of(reference=CIRCLE, compensators=[exact, NONE], instruments=instruments)
     assert min(row.figures["euclidean_max_true_um"] for row in report.rows) < 1e-10
-    for axes in figures_of(report)["errors"].axes:
-        if axes.get_yscale() == "symlog":
-            assert 3 <= len(axes.get_yticks()) <= 5
-        elif axes.get_yscale() == "log":
-            assert axes.get_ylim()[0] > 1e-5 * axes.get_ylim()[1]
+    (distance,) = (axes for axes in figures_of(report)["errors"].axes if axes.get_yscale() == "log")
+    assert distance.get_ylim()[0] > 1e-5 * distance.get_ylim()[1]
 
 
 def test_the_plane_shows_one_frequency_where_the_paths_lie_upon_each_other() -> None:

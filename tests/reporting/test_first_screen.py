@@ -5,19 +5,14 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-import made_up
 import numpy as np
 import pandas as pd
 import pytest
 import theory
-from made_up_cases import stage_records
-from record_cases import plain
 
 from hammerstein.commands.cli import main
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
-from hammerstein.identification.identify import identify
-from hammerstein.reporting.fit_page import fit_page
 from hammerstein.reporting.overview import digest, write_overview
 
 CIRCLE = {"kind": "circle", "radius_um": 20, "frequency_hz": 50}
@@ -81,24 +76,6 @@ def test_claims_have_a_section_of_their_own_below_the_examples(reports: list[Rep
     assert "claim" not in examples.partition("<main")[2].replace("claims met", "claim")
     assert "circle, 20 um, 50 Hz" in examples
     assert 'class="bad"' not in page
-
-
-def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds() -> None:
-    made = made_up.stage(0, noise_um=0.01, plays=6, rate_hz=5e3)
-    fitted, held = stage_records(made, np.random.default_rng(1), cycles=4, hz=5.0)
-    settings = plain(operators=6, partition="fitted")
-    model, fit = identify(fitted, settings, validation=[held])
-    first = fit_page(model, fit).markdown().split("\n\n")[1].splitlines()
-    assert first[0].startswith("* Usable")
-    assert first[1].startswith("* Error: ")
-    assert "validation records" in first[1]
-    assert first[-1].startswith(f"* Next: `hammerstein compensate {model.name}.json path.csv --law ")
-    assert 4 <= len(first) <= 5
-    headings = [line for line in fit_page(model, fit).markdown().splitlines() if line.startswith("## ")]
-    assert headings[-1] == "## Thresholds"
-    alone = fit_page(*identify(fitted, settings)).markdown().split("\n\n")[1]
-    assert "untested on other records" in alone
-    assert "with a validation record" in alone
 
 
 def test_the_next_command_after_a_fit_without_validation_can_be_pasted(tmp_path: Path) -> None:

@@ -27,14 +27,14 @@ def _two_paths() -> Figure:
     turn = 2.0 * np.pi * 50.0 * time_s
     circle = 30.0 * np.array([np.cos(turn), np.sin(turn)])
     labels = ["a long label of " + "many words " * 6, "b"]
-    runs = [PathRun(one, "", time_s, circle, circle + 2.0, circle + 1.0, 0.04) for one in labels]
+    runs = [PathRun(one, "", time_s, circle, circle + 2.0, 0.04) for one in labels]
     return path_figure(runs, ["x", "y" * 30], "reference", "A title of " + "many words " * 9)
 
 
 def _errors_of_three() -> Figure:
     time_s = 50e-6 * np.arange(800)
     circle = np.array([np.cos(314.0 * time_s), np.sin(314.0 * time_s)])
-    runs = [PathRun("a", f"{r} um", time_s, r * circle, r * circle + 2.0, None, 0.04) for r in (1, 2, 3)]
+    runs = [PathRun("a", f"{r} um", time_s, r * circle, r * circle + 2.0, 0.04) for r in (1, 2, 3)]
     return path_errors_figure(runs, ["x", "y"], "Errors")
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,6 @@ from hammerstein.experiment.selection import (
 from hammerstein.metrics import Row
 from hammerstein.reporting.figures.loop_data import (
     MOST_CURVES,
-    MOST_OVERLAYS,
     error_runs,
     legible_parts,
     loop_runs,
@@ -81,8 +79,7 @@ def _answers(report: Report) -> dict[str, Figure]:
 def _traced(report: Report, whole: bool = False) -> dict[str, Figure]:
     """Paths, or loops and errors; all compensators in one figure, or only as many as stay legible."""
     signal = report.scenario.signal
-    single = isinstance(signal, OnAxes) and signal.axis != "all"
-    return _loops(report, whole) if single else _paths(report, whole)
+    return _loops(report, whole) if isinstance(signal, OnAxes) and signal.axis != "all" else _paths(report)
 
 
 def explored_figures(report: Report) -> tuple[dict[str, Figure], dict[str, dict[str, Figure]]]:
@@ -116,11 +113,12 @@ def _sensitivity(report: Report) -> dict[str, Figure]:
     for label, band in worst.items():
         found = [one for one in own if one.place == band.place]
         if found:
-            first = [(one.first, one.first_low, one.first_high) for one in found]
-            total = [(one.total, one.total_low, one.total_high) for one in found]
+            known = np.array([[1.0 if one.is_estimated else np.nan] for one in found])
+            first = known * [(one.first, one.first_low, one.first_high) for one in found]
+            total = known * [(one.total, one.total_low, one.total_high) for one in found]
             names = tuple(plain(one.parameter) for one in found)
             where = f"{plain(label)}, {band.frequency_hz:g} Hz, {plain(band.measured_axis)}"
-            bars.append(SensitivityBars(where, names, np.array(first), np.array(total)))
+            bars.append(SensitivityBars(where, names, first, total))
     title = f"Causes of the spread of the {words} of the true position"
     return {"sensitivity": sensitivity_figure(bars, title)} if bars else {}
 
@@ -152,27 +150,29 @@ def _loops(report: Report, whole: bool) -> dict[str, Figure]:
     names = report.inputs if volts else report.axes
     driven = [symbol(name, role) for name in names]
     inputs = [f"{role} {name} [{unit}]" for name in driven]
-    readings = [f"reading {symbol(name, 'reading')} [µm]" for name in report.axes]
+    true, quantity = _shown_quantity(report)
+    outputs = [f"{quantity.split()[-1]} {symbol(name, 'reading')} [µm]" for name in report.axes]
     errors_of = [f"{symbol(name, 'error')} [µm]" for name in report.axes]
+    wrong = "sensor's reading minus prediction" if volts else "error of the true position"
     cycles = report.scenario.measure.measured_cycles
-    mean = f", mean of {cycles} cycles" if cycles > 1 else ""
+    mean = f", {cycles}-cycle mean" if cycles > 1 else ""
     figures = {}
     parts = {"": report.traces} if whole else legible_parts(report.traces)
     for suffix, traces in parts.items():
-        title = _titled(traces if suffix else (), f"sensor's reading over the {role}{mean}")
-        runs = loop_runs(report, traces)
-        figures[f"loops{suffix}"] = loops_figure(runs, inputs, readings, title, ideal=not volts)
+        whose = f"{plain(traces[0].label)}: " if suffix else ""
+        title = _headed(f"{whose}{quantity} over {role}{mean}")
+        figures[f"loops{suffix}"] = loops_figure(
+            loop_runs(report, traces, true), inputs, outputs, title, ideal=not volts
+        )
         errors = error_runs(report, traces)
         if errors and (whole or len({run.label for run in errors}) <= MOST_CURVES):
-            what = "sensor's reading minus the prediction" if volts else "true position minus the reference"
-            title = _titled(traces if suffix else (), what)
-            figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, title)
+            figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, _headed(f"{whose}{wrong}"))
     return figures
 
 
-def _titled(of: Sequence[Trace], what: str) -> str:
-    """Title of a figure: of one compensator, or of all."""
-    return f"{plain(of[0].label)}: {what}" if of else f"{what[:1].upper()}{what[1:]}"
+def _headed(title: str) -> str:
+    """Title with a capital letter."""
+    return title[:1].upper() + title[1:]
 
 
 def _sweeps(report: Report, over: Over) -> dict[str, Figure]:
@@ -285,37 +285,33 @@ def _operators(report: Report) -> dict[str, Figure]:
     return {"operators": figure}
 
 
-def _paths(report: Report, whole: bool) -> dict[str, Figure]:
-    runs = [run for trace in report.traces for run in path_runs_of(report, trace)]
+def _paths(report: Report) -> dict[str, Figure]:
+    true, name = _shown_quantity(report)
+    runs = [run for trace in report.traces for run in path_runs_of(report, trace, true)]
     volts = report.scenario.drive is not None
     kind = report.scenario.signal.kind.capitalize()
     compared = runs[0].target_um is not None
-    what = "predictions of the models" if volts and compared else "sensor's reading"
-    target = "sensor's reading" if volts else "reference"
-    truly = any(run.true_um is not None for run in runs)
-    errors = f"true distance from the {target}, errors of the reading" if truly else f"{what} minus {target}"
-    figures = {}
-    for suffix, (part, shown) in ({"": ("", runs)} if whole else _few_at_a_time(runs)).items():
-        figures[f"path{suffix}"] = path_figure(shown, report.axes, target, f"{kind}: {what}{part}")
-        if compared:
-            figures[f"errors{suffix}"] = path_errors_figure(shown, report.axes, f"{kind}: {errors}{part}")
+    what, target = ("predictions of the models", "sensor's reading") if volts else (name, "reference")
+    figures = {"path": path_figure(runs, report.axes, target, f"{kind}: {what if compared else name}")}
+    if compared:
+        runs = [run for trace in report.traces for run in path_runs_of(report, trace, true=not volts)]
+        wrong = f"{what} minus {target}" if volts else "error of the true position"
+        figures["errors"] = path_errors_figure(runs, report.axes, f"{kind}: {wrong}")
     return figures
 
 
-def _few_at_a_time(runs: Sequence[PathRun]) -> dict[str, tuple[str, list[PathRun]]]:
-    """Runs of few labels for each figure, by suffix, with words for its title: no panel has more curves."""
-    labels = list(dict.fromkeys(run.label for run in runs))
-    parts = np.array_split(np.array(labels, dtype=object), math.ceil(len(labels) / MOST_OVERLAYS))
-    if len(parts) == 1:
-        return {"": ("", list(runs))}
-    return {
-        f"_{number}": (f" ({number} of {len(parts)})", [run for run in runs if run.label in set(part)])
-        for number, part in enumerate(parts, start=1)
-    }
+def _shown_quantity(report: Report) -> tuple[bool, str]:
+    """Whether paths and loops are those of the true position, and what they are called.
+
+    What is driven by volts shows the reading, as a record does; so does what an assessment is about.
+    """
+    if report.scenario.drive is not None or report.reading_first:
+        return False, "sensor's reading"
+    return True, "true position"
 
 
-def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
-    """A compensator's reading against its reference, or each model's prediction against the reading."""
+def path_runs_of(report: Report, trace: Trace, true: bool) -> Iterator[PathRun]:
+    """Position or reading of a compensator against its reference, or predictions against the reading."""
     response, signal, time_s = trace.response, trace.signal, trace.time_s
     group = swept_label(trace, report.scenario.sweep)
     length = float(np.ptp(time_s))
@@ -323,11 +319,10 @@ def path_runs_of(report: Report, trace: Trace) -> Iterator[PathRun]:
     lap = 1.0 / signal.highest_frequency_hz if signal.smooth else 0.0
     drawn: dict[str, Any] = {"period_s": period, "closes": signal.repeats, "lap_s": lap}
     if response.reference_um is not None:
-        target, reading = response.reference_um, response.reading_um
-        true = None if report.reads_truth else response.position_um
-        yield PathRun(trace.label, group, time_s, target, reading, true, **drawn)
+        output = response.position_um if true else response.reading_um
+        yield PathRun(trace.label, group, time_s, response.reference_um, output, **drawn)
         return
     for p in trace.predictions:
-        yield PathRun(p.label, group, time_s, response.reading_um, p.reading_um, None, **drawn)
+        yield PathRun(p.label, group, time_s, response.reading_um, p.reading_um, **drawn)
     if not trace.predictions:
-        yield PathRun("reading", group, time_s, None, response.reading_um, None, **drawn)
+        yield PathRun("reading", group, time_s, None, response.reading_um, **drawn)

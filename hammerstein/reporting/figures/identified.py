@@ -52,6 +52,11 @@ BANDS = 120
 LEAST = 1e-12
 """Keeps logarithms of what is zero on the axes."""
 MEASURED, SEPARATED = "measured", "measured, minus the predicted response to the other inputs"
+UNFITTED = "thresholds not fitted"
+COHERENT = 0.5
+"""Coherence from which a gain is drawn: below, the inputs explain less than half of what the output does."""
+LEAST_RATIO = 1.5
+"""Of the ends of an axis of gains, below which their scatter would look like a resonance."""
 BROAD_SHARE = 0.5
 """Records from this part of the longest one's length on are used for the measured response."""
 
@@ -146,12 +151,15 @@ def _slowest_cycle(fit: Fit, k: int, alone: bool) -> tuple[int, slice] | None:
 def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
     """What the kept model leaves over time, and all of them over frequency, one row for each output.
 
+    The kept model is the solid line, the others are broken.
+
     Parameters
     ----------
     fit : what ``identify`` has found
     record, start : on which it is drawn
     """
-    kinds: list[Kind] = [kind for kind in fit.candidates if kind != "linear" or fit.kind != "hammerstein"]
+    others = [kind for kind in fit.candidates if kind != "linear" or fit.kind != "hammerstein"]
+    kinds: list[Kind] = [fit.kind, *(kind for kind in others if kind != fit.kind)]
     left = {kind: fit.candidates[kind].residual(record, start) for kind in kinds}
     most = MOST_POINTS // (2 * len(fit.outputs))
     with styled():
@@ -161,7 +169,7 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
         for o, row in enumerate(panels):
             for number, kind in enumerate(kinds):
                 kept = kind == fit.kind
-                style = unmarked_style(number) | {"linewidth": 1.0, "zorder": 20 if kept else 2 + number}
+                style = unmarked_style(number) | {"linewidth": 1.0, "zorder": 20 - number}
                 if kept:  # others may leave a hundred times as much, and would hide it
                     _draw_over_time(row[0], left[kind][o], record.sample_time_s, style, most)
                 (line,) = row[1].plot(*spectrum(left[kind][o], record.sample_time_s), **style)
@@ -171,7 +179,7 @@ def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
             row[1].set(ylabel="amplitude [µm]", xlabel="frequency [Hz]", xscale="log", yscale="log")
             row[1].grid(visible=True, which="major")
         for number, axes in enumerate(panels.flat):
-            letter(axes, number)
+            letter(axes, number, "all models" if number % 2 else KIND_NAMES[fit.kind])
         for axes in panels[:, 1]:
             plain_numbers(axes.yaxis)
             plain_numbers(axes.xaxis)
@@ -221,6 +229,7 @@ def operators_figure(fit: Fit) -> Figure:
     fit : what ``identify`` has found, with its error curve
     """
     counts = [point.operators for point in fit.error_curve]
+    fitted = fit.covariance is not None and fit.covariance.fitted
     chosen = sorted({n for row in fit.operators for n in row})
     with styled():
         figure = new_figure(0.4 * WIDTH_IN, columns=1)
@@ -229,14 +238,15 @@ def operators_figure(fit: Fit) -> Figure:
         for o, name in enumerate(fit.outputs):
             errors = [max(point.nrmse_percent[o], LEAST) for point in fit.error_curve]
             style = line_style(o) | {"marker": "os^xvD+"[o % 7]}
-            (entries[column_words(name)],) = axes.plot(counts, errors, **style)
+            (entries[f"{column_words(name)}, held out, {UNFITTED}"],) = axes.plot(counts, errors, **style)
         for n in chosen:
             mark = axes.axvline(n, color=PALE, linewidth=5.0, alpha=0.4, zorder=0)
-        entries["this model"] = mark
+        entries["operators of this model"] = mark
         for o in range(len(fit.outputs)):
             n = int(np.median([count for count in fit.operators[o] if count] or [0]))
             (point,) = axes.plot(n, max(fit.judged[fit.kind].nrmse_percent[o], LEAST), "*", markersize=11)
-            entries[f"its error on the {'validation' if fit.held else 'fitted'} records"] = point
+            records = f"{'validation' if fit.held else 'fitted'} records"
+            entries[f"this model on the {records}{', thresholds fitted' if fitted else ''}"] = point
         axes.set(
             xlabel="operators of each pair",
             ylabel="rms error [% of range]",
@@ -245,6 +255,7 @@ def operators_figure(fit: Fit) -> Figure:
         )
         for axis in (axes.xaxis, axes.yaxis):
             plain_numbers(axis)
+        letter(axes, 0)
         legend_above(figure, entries)
     return figure
 
@@ -252,6 +263,7 @@ def operators_figure(fit: Fit) -> Figure:
 def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyResponse) -> Figure:
     """Gain of every pair over frequency, measured and by the model, and the coherence of each output.
 
+    Gains are left out where the coherence says that they are scatter.
     That of the model is what the same estimate makes of its response to the voltages of the records.
 
     Parameters
@@ -277,10 +289,14 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
                 _draw_spectrum(axes, measured.frequency_hz, measured.coherence[o], 0)
                 axes.set_ylim(-0.05, 1.05)
                 continue
-            gain, model_gain = np.abs(measured.response[o, k]), np.abs(said.response[o, k])
-            entries["measured"] = _draw_spectrum(axes, measured.frequency_hz, gain, 0)
-            entries[KIND_NAMES[fit.kind]] = _draw_spectrum(axes, measured.frequency_hz, model_gain, 1)
+            clear = measured.coherence[o] >= COHERENT
+            hz, gain = measured.frequency_hz[clear], np.abs(measured.response[o, k, clear])
+            entries["measured"] = _draw_spectrum(axes, hz, gain, 0)
+            entries[KIND_NAMES[fit.kind]] = _draw_spectrum(axes, hz, np.abs(said.response[o, k, clear]), 1)
             axes.set(yscale="log", ylabel="gain [µm/V]")
+            low, high = axes.get_ylim()
+            if high < LEAST_RATIO * low:
+                axes.set_ylim((low * high / LEAST_RATIO) ** 0.5, (low * high * LEAST_RATIO) ** 0.5)
             plain_numbers(axes.yaxis)
         legend_above(figure, entries)
     return figure

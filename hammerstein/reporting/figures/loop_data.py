@@ -14,7 +14,7 @@ from hammerstein.reporting.figures.loops import ErrorRun, LoopRun
 from hammerstein.scenario.scenario import Sweep
 
 MOST_CURVES = 6  # loops in one panel
-MOST_OVERLAYS = 4  # models drawn over a loop, or paths in a panel
+MOST_OVERLAYS = 4  # models drawn over a loop
 MOST_PHASES = 2000  # samples of a mean cycle
 SWEPT_WORDS = {
     "frequency_hz": "{:g} Hz",
@@ -65,11 +65,11 @@ def legend_labels(report: Report, traces: Sequence[Trace]) -> list[str]:
     return labels
 
 
-def loop_runs(report: Report, traces: Sequence[Trace]) -> list[LoopRun]:
-    """Mean measured cycle of each trace: reading, and what the models say of it."""
+def loop_runs(report: Report, traces: Sequence[Trace], true: bool = False) -> list[LoopRun]:
+    """Mean measured cycle of each trace: reading or true position, and what the models say of the reading."""
     labels = legend_labels(report, traces)
     return [
-        loop_of(trace, label or f"{trace.signal.highest_frequency_hz:g} Hz", driven_of(report, trace))
+        loop_of(trace, label or f"{trace.signal.highest_frequency_hz:g} Hz", driven_of(report, trace), true)
         for trace, label in zip(traces, labels, strict=True)
     ]
 
@@ -92,12 +92,13 @@ def driven_of(report: Report, trace: Trace) -> int:
     return int(trace.signal.model_dump()["axis"]) - 1
 
 
-def loop_of(trace: Trace, label: str, driven: int) -> LoopRun:
+def loop_of(trace: Trace, label: str, driven: int, true: bool = False) -> LoopRun:
     """Mean measured cycle of a trace, and what a few models say of it."""
     response = trace.response
     wire = response.drive_v if response.reference_um is None else response.reference_um
     shown = trace.predictions if len(trace.predictions) <= MOST_OVERLAYS else ()
-    outputs = [response.reading_um, *(p.reading_um for p in shown)]
+    measured = response.position_um if true else response.reading_um
+    outputs = [measured, *(p.reading_um for p in shown)]
     cycle = _closed_cycle(trace, np.vstack([wire[driven], *outputs]))
     means = np.split(cycle[1:], len(outputs))
     predictions = tuple((p.label, mean) for p, mean in zip(shown, means[1:], strict=True))
@@ -115,10 +116,7 @@ def _closed_cycle(trace: Trace, signals: Array) -> Array:
 
 
 def errors_of(trace: Trace, label: str, driven: int) -> Iterator[ErrorRun]:
-    """First measured cycle of the errors of a trace, one run for each thing that it is compared with.
-
-    A reference is compared with the true position, the prediction of a model with the reading.
-    """
+    """First measured cycle of the errors of a trace: of the true position, or of each prediction."""
     response, period = trace.response, trace.signal.period_s
     first = slice(0, round(period / response.sample_time_s) + 1)
     errors = [(p.label, response.reading_um - p.reading_um) for p in trace.predictions]

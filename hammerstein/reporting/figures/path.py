@@ -50,7 +50,7 @@ TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth"
 APART = 1.02  # sizes of paths that the eye tells apart
 LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
 DEEPEST = 1e-4  # part of the worst error below which nothing is told apart: rounding is no result
-OUTSIDE = 3.0  # ratio of the worst error to the end of the linear middle from which it has a tick, too
+MOST_OF_A_PANEL = 4  # labels that the eye tells apart in one panel; more are split over several
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,6 @@ class PathRun:
     time_s : (sample,) [s]
     target_um : (axis, sample) where the path should go; None: nothing to compare with
     output_um : (axis, sample) where it goes
-    true_um : (axis, sample) where it truly goes, if ``output_um`` is a sensor's reading
     period_s : length of time that is drawn [s]: that after which the path closes, or the whole of one that
         does not; the errors in the legend are those of the whole run
     closes : whether the path repeats after that time
@@ -74,7 +73,6 @@ class PathRun:
     time_s: Array
     target_um: Array | None
     output_um: Array
-    true_um: Array | None
     period_s: float
     closes: bool = False
     lap_s: float = 0.0
@@ -91,37 +89,28 @@ class PathRun:
             return path_um[:, self.shown]
         return smooth_path(self.time_s, path_um, self.period_s, self.lap_s, self.closes)
 
-    def errors(self) -> list[tuple[str, Array]]:
-        """Error of each axis, then its length over all axes, then that of the true position."""
+    def errors(self) -> list[Array]:
+        """Length of the error over all axes, then the error of each axis."""
         assert self.target_um is not None
         error = self.output_um - self.target_um
-        rows = [("", axis) for axis in error]
-        if len(error) > 1:
-            rows.append((DISTANCE, np.linalg.norm(error, axis=0)))
-        if self.true_um is not None:
-            rows.append((TRULY, np.linalg.norm(self.true_um - self.target_um, axis=0)))
-        return rows
+        return [np.linalg.norm(error, axis=0), *error]
 
-    def drawn_errors(self) -> list[tuple[str, Array]]:
-        """The true error first; the distance of the reading, which repeats its axes, is left out then."""
-        rows = self.errors()
-        if rows[-1][0] != TRULY:
-            return rows
-        return [rows[-1], *((name, error) for name, error in rows[:-1] if name != DISTANCE)]
+    @property
+    def worst_um(self) -> float:
+        """Worst distance of the whole run."""
+        return float(self.errors()[0].max())
 
 
-DISTANCE = "distance"
-TRULY = "true distance"
-LABELS = {DISTANCE: "distance\n[µm]", TRULY: "true\ndistance\n[µm]"}  # as long as a low panel is high
 UPRIGHT_LETTERS = 15
-"""Of a line beside such a panel."""
+"""Of a line beside a low panel."""
 
 
 def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str, title: str = "") -> Figure:
-    """Path in the plane (a) and axes over time (b), as in the paper's Figs. 10 to 13.
+    """Path in the plane and each axis over time, as in the paper's Figs. 10 to 13.
 
-    All groups share the plane; (b) shows the group with the largest target. The plane is left out unless
-    there are two axes. The legend gives the worst distance.
+    All groups share the plane; over time the group with the largest target is shown. The plane is left out
+    unless there are two axes. Where there are more labels than one panel holds, panels of the same kind share
+    them: planes alone, where there are two axes. The legend gives the worst distance.
 
     Parameters
     ----------
@@ -133,46 +122,72 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
     with styled():
         group = _largest_group(runs)
         largest = [run for run in runs if run.group == group]
-        figure, plane, traces = _layout(len(axes_names))
-        pens = _pens(runs)
-        curves = 3 * len(runs) + len(largest) * len(axes_names) + len(axes_names)
+        parts, pens = _parts(runs), _pens(runs)
+        figure, planes, traces = _layout(len(axes_names), len(parts))
+        curves = 3 * len(runs) + len(largest) * len(traces) + len(planes) + len(traces)
         most = MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
-        if plane is not None:
-            told_apart = _of_different_sizes(runs)
-            _draw_plane(plane, runs if told_apart else largest, pens, axes_names, 3 * most)
-            letter(plane, 0, "" if told_apart else group)
-        entries = _draw_traces(traces, largest, pens, axes_names, target, most)
-        letter(traces[0], 1 if plane else 0, group)
-        legend_above(figure, entries, title)
+        told_apart = _of_different_sizes(runs)
+        lines: dict[str, Artist] = {}
+        for plane, labels in zip(planes, parts, strict=False):
+            inside = [run for run in (runs if told_apart else largest) if run.label in labels]
+            lines |= _draw_plane(plane, inside, pens, axes_names, 3 * most)
+        for number, axes in enumerate(traces):
+            part, axis = divmod(number, len(axes_names))
+            inside = [run for run in largest if run.label in parts[part]]
+            lines |= _draw_trace(axes, inside, axis, pens, axes_names, most)
+        for number, axes in enumerate(panels := [*planes, *traces]):
+            letter(axes, number, "" if axes in planes and told_apart else group)
+            few_ticks(axes)
+        entries = {_entry(label, largest): line for label, line in lines.items()}
+        goal = {target: panels[0].lines[-1]} if runs[0].target_um is not None else {}
+        legend_above(figure, entries | goal, title)
     return figure
 
 
 def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title: str = "") -> Figure:
-    """Errors over time, a column a group; every run has a target."""
-    groups = list(dict.fromkeys(run.group for run in runs))
-    rows = len(runs[0].drawn_errors())
+    """Errors over time, a column a group: the distance, then each axis; every run has a target.
+
+    Where there are more labels than one panel holds, rows of distances share them. Distances are logarithmic
+    where one curve would hide another.
+    """
+    groups, parts = list(dict.fromkeys(run.group for run in runs)), _parts(runs)
+    labels = _error_labels(axes_names)
+    rows = [(part, 0) for part in parts] if len(parts) > 1 else [(parts[0], k) for k in range(len(labels))]
     with styled():
-        high, wide = (rows, len(groups)) if len(groups) > 1 else side_by_side(rows)
-        figure = new_figure(0.8 + 1.5 * high, wide)
-        grid = figure.subplots(high, wide, squeeze=False, sharey="row" if len(groups) > 1 else False)
-        for axes in grid.flat[rows * len(groups) :]:
+        high, wide = (len(rows), len(groups)) if len(groups) > 1 else side_by_side(len(rows))
+        figure = new_figure(0.8 + 1.6 * high, wide)
+        shared: Any = "all" if len(parts) > 1 else "row" if len(groups) > 1 else False
+        grid = figure.subplots(high, wide, squeeze=False, sharey=shared)
+        for axes in grid.flat[len(rows) * len(groups) :]:
             axes.remove()
-        panels = np.reshape(grid.flat[: rows * len(groups)], (rows, len(groups)))
-        entries: dict[str, Artist] = {}
-        most = MOST_POINTS // (len(runs) * rows)
-        for column, group in enumerate(groups):
-            inside = [run for run in runs if run.group == group]
-            lines = _draw_errors(list(panels[:, column]), inside, _pens(runs), axes_names, most)
-            entries |= {_entry(label, runs): line for label, line in lines.items()}
-            for row, axes in enumerate(panels[:, column]):
-                letter(axes, row if len(groups) == 1 else None if row else column, group)
-            for axes in panels[:, column]:
-                axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
-        for (name, _), row in zip(runs[0].drawn_errors(), panels, strict=True):
-            for axes in row:
-                _scale_distance(axes, name, runs)
+        panels = np.reshape(grid.flat[: len(rows) * len(groups)], (len(rows), len(groups)))
+        lines: dict[str, Artist] = {}
+        most, pens = MOST_POINTS // (len(runs) * (1 if len(parts) > 1 else len(labels))), _pens(runs)
+        for (row, column), axes in np.ndenumerate(panels):
+            part, quantity = rows[row]
+            inside = [run for run in runs if run.group == groups[column] and run.label in part]
+            lines |= _draw_errors(axes, inside, quantity, pens, most)
+            axes.set_ylabel(in_lines(labels[quantity], UPRIGHT_LETTERS))
+            axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
+            letter(axes, row * len(groups) + column, groups[column])
+            if quantity == 0:
+                _scale_distance(axes, runs)
+        entries = {_entry(label, runs): line for label, line in lines.items()}
         legend_above(figure, entries, title)
     return figure
+
+
+def _parts(runs: Sequence[PathRun]) -> list[list[str]]:
+    """Labels of each panel, about as many in each, in their order."""
+    labels = list(dict.fromkeys(run.label for run in runs))
+    panels = math.ceil(len(labels) / MOST_OF_A_PANEL)
+    return [part.tolist() for part in np.array_split(np.array(labels, dtype=object), panels)]
+
+
+def _error_labels(axes_names: Sequence[str]) -> list[str]:
+    """What stands beside each panel of errors."""
+    length = "distance" if len(axes_names) > 1 else "size of error"
+    return [f"{length} [µm]", *(f"{symbol(name, 'error')} [µm]" for name in axes_names)]
 
 
 def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
@@ -206,25 +221,30 @@ def _of_different_sizes(runs: Sequence[PathRun]) -> bool:
     return all(b > APART * a for a, b in itertools.pairwise(ordered))
 
 
-def _layout(n_axes: int) -> tuple[Figure, Axes | None, list[Axes]]:
-    """Empty panels: plane (of two axes only) left of the traces; without it the traces side by side."""
-    if n_axes == 2:
+def _layout(n_axes: int, n_parts: int) -> tuple[Figure, list[Axes], list[Axes]]:
+    """Empty planes (of two axes) and traces: a plane left of its traces, or planes side by side."""
+    if n_axes == 2 and n_parts == 1:
         figure = new_figure(0.9 + 0.46 * WIDTH_IN)
         grid = figure.add_gridspec(2, 2)
-        plane = figure.add_subplot(grid[:, 0])
-        return figure, plane, [figure.add_subplot(grid[row, 1]) for row in range(2)]
-    lines, columns = side_by_side(n_axes)
-    figure = new_figure(0.7 + 2.0 * lines, columns)
-    return figure, None, [figure.add_subplot(lines, columns, axis + 1) for axis in range(n_axes)]
+        return figure, [figure.add_subplot(grid[:, 0])], [figure.add_subplot(grid[row, 1]) for row in (0, 1)]
+    panels = n_parts if n_axes == 2 else n_parts * n_axes
+    lines, columns = side_by_side(panels)
+    figure = new_figure(0.9 + (0.46 * WIDTH_IN if n_axes == 2 else 2.0) * lines, columns)
+    drawn = [figure.add_subplot(lines, columns, number + 1) for number in range(panels)]
+    return (figure, drawn, []) if n_axes == 2 else (figure, [], drawn)
 
 
 def _draw_plane(
     axes: Axes, runs: Sequence[PathRun], pens: dict[str, Any], names: Sequence[str], most: int
-) -> None:
-    """One period of each path: broken lines drawn over themselves would look whole."""
+) -> dict[str, Artist]:
+    """One period of each path: broken lines drawn over themselves would look whole.
+
+    Targets are drawn last. Gives the line of each label.
+    """
+    lines: dict[str, Artist] = {}
     for run in runs:
         x, y = thin_path(list(run.plane_of(run.output_um)), _points(run, most))
-        axes.plot(x, y, **pens[run.label])
+        (lines[run.label],) = axes.plot(x, y, **pens[run.label])
         if is_sparse(run.time_s, run.lap_s):  # the samples themselves
             axes.plot(*run.output_um[:, run.shown], ".", color=pens[run.label]["color"], markersize=4.5)
     for run in {run.group: run for run in runs if run.target_um is not None}.values():
@@ -232,9 +252,9 @@ def _draw_plane(
         x, y = thin_path(list(run.plane_of(run.target_um)), _points(run, most))
         axes.plot(x, y, **TARGET)
     axes.set_aspect("equal")
-    few_ticks(axes)
     axes.set_xlabel(f"{symbol(names[0], 'reading')} [µm]")
     axes.set_ylabel(f"{symbol(names[1], 'reading')} [µm]")
+    return lines
 
 
 def _points(run: PathRun, most: int) -> int:
@@ -242,31 +262,23 @@ def _points(run: PathRun, most: int) -> int:
     return max(most, math.ceil(POINTS_OF_A_LAP * run.period_s / run.lap_s)) if run.lap_s else most
 
 
-def _draw_traces(
-    traces: Sequence[Axes],
-    runs: Sequence[PathRun],
-    pens: dict[str, Any],
-    names: Sequence[str],
-    target: str,
-    most: int,
+def _draw_trace(
+    axes: Axes, runs: Sequence[PathRun], axis: int, pens: dict[str, Any], names: Sequence[str], most: int
 ) -> dict[str, Artist]:
-    """Axes over time; gives the entries of the legend, with the worst distance of each curve."""
-    entries: dict[str, Artist] = {}
-    shown = runs[0].shown
+    """One axis over time, the target last; gives the line of each label."""
+    shown, target_um = runs[0].shown, runs[0].target_um
+    lines: dict[str, Artist] = {}
     factor, time_label = time_axis(runs[0].period_s)
-    for axis, axes in enumerate(traces):
-        for run in runs:
-            time, values = thin_trace(run.time_s[shown] * factor, run.output_um[axis, shown], most)
-            (line,) = axes.plot(time, values, **pens[run.label])
-            entries[_entry(run.label, runs)] = line
-        if runs[0].target_um is not None:
-            time, values = thin_trace(runs[0].time_s[shown] * factor, runs[0].target_um[axis, shown], most)
-            (entries[target],) = axes.plot(time, values, **TARGET)
-        few_ticks(axes)
-        axes.set_ylabel(in_lines(f"{symbol(names[axis], 'reading')} [µm]", UPRIGHT_LETTERS))
-        axes.set_xlabel(time_label)
-        axes.margins(x=0.0)
-    return entries
+    for run in runs:
+        time, values = thin_trace(run.time_s[shown] * factor, run.output_um[axis, shown], most)
+        (lines[run.label],) = axes.plot(time, values, **pens[run.label])
+    if target_um is not None:
+        time, values = thin_trace(runs[0].time_s[shown] * factor, target_um[axis, shown], most)
+        axes.plot(time, values, **TARGET)
+    axes.set_ylabel(in_lines(f"{symbol(names[axis], 'reading')} [µm]", UPRIGHT_LETTERS))
+    axes.set_xlabel(time_label)
+    axes.margins(x=0.0)
+    return lines
 
 
 def _entry(label: str, runs: Sequence[PathRun]) -> str:
@@ -274,73 +286,32 @@ def _entry(label: str, runs: Sequence[PathRun]) -> str:
     same = [run for run in runs if run.label == label]
     if same[0].target_um is None:
         return plain(label)
-    names = dict(same[0].errors())
-    truly = f", true {significant(_worst(same, TRULY))} µm" if TRULY in names else ""
-    worst = significant(_worst(same, DISTANCE if DISTANCE in names else ""))
-    return f"{plain(label)} (worst {worst} µm{truly})"
-
-
-def _worst(runs: Sequence[PathRun], name: str) -> float:
-    return max(float(np.abs(dict(run.errors())[name]).max()) for run in runs)
+    return f"{plain(label)} (worst {significant(max(run.worst_um for run in same))} µm)"
 
 
 def _draw_errors(
-    panels: Sequence[Axes],
-    runs: Sequence[PathRun],
-    pens: dict[str, Any],
-    names: Sequence[str],
-    most: int,
+    axes: Axes, runs: Sequence[PathRun], quantity: int, pens: dict[str, Any], most: int
 ) -> dict[str, Artist]:
-    """Errors over time, a panel each; gives the line of each label."""
-    entries: dict[str, Artist] = {}
+    """One kind of error over time; gives the line of each label."""
+    lines: dict[str, Artist] = {}
     factor, time_label = time_axis(runs[0].period_s)
     for run in runs:
-        for axes, (_, error) in zip(panels, run.drawn_errors(), strict=True):
-            time, values = thin_trace(run.time_s[run.shown] * factor, error[run.shown], most)
-            (line,) = axes.plot(time, values, **pens[run.label])
-            entries[run.label] = line
-    own = iter(names)
-    for i, (name, _) in enumerate(runs[0].drawn_errors()):
-        panels[i].margins(x=0.0)
-        few_ticks(panels[i])
-        panels[i].set_ylabel(
-            LABELS.get(name) or in_lines(f"{symbol(next(own), 'error')} [µm]", UPRIGHT_LETTERS)
-        )
-        panels[i].set_xlabel(time_label)
-    return entries
+        error = run.errors()[quantity]
+        time, values = thin_trace(run.time_s[run.shown] * factor, error[run.shown], most)
+        (lines[run.label],) = axes.plot(time, values, **pens[run.label])
+    axes.margins(x=0.0)
+    axes.set_xlabel(time_label)
+    few_ticks(axes)
+    return lines
 
 
-def _scale_signed(axes: Axes, runs: Sequence[PathRun]) -> None:
-    """Errors of an axis: linear, or logarithmic on both sides of a linear middle that the best run fills."""
-    worst = [_worst([run], DISTANCE) if len(run.errors()) > 1 else _worst([run], "") for run in runs]
+def _scale_distance(axes: Axes, runs: Sequence[PathRun]) -> None:
+    """Distances start at zero, or are logarithmic where one curve would hide another."""
+    worst = [run.worst_um for run in runs]
     if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
-        middle = 10.0 ** math.ceil(math.log10(max(min(worst), DEEPEST * max(worst))))
-        axes.set_yscale("symlog", linthresh=middle, linscale=1.0)
-        outermost = _one_digit(max(worst))
-        told = [outermost, middle] if outermost >= OUTSIDE * middle else [middle]
-        ticks = [-tick for tick in told] + [0.0, *reversed(told)]
-        axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
-        axes.minorticks_off()
-        words = f"{axes.get_ylabel()}, log beyond ±{middle:g} µm"
-        axes.set_ylabel(in_lines(words, UPRIGHT_LETTERS))
-
-
-def _one_digit(value: float) -> float:
-    """Largest number of one digit that is not above a value."""
-    decade = 10.0 ** math.floor(math.log10(value))
-    return math.floor(value / decade) * decade
-
-
-def _scale_distance(axes: Axes, name: str, runs: Sequence[PathRun]) -> None:
-    """Distances start at zero; where one curve would hide another, every error is logarithmic."""
-    worst = [_worst([run], name) for run in runs] if name else []
-    if not name:
-        _scale_signed(axes, runs)
-        return
-    if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
-        typical = min(float(np.median(dict(run.errors())[name])) for run in runs)
+        typical = min(float(np.median(run.errors()[0])) for run in runs)
         axes.set_yscale("log")
         axes.set_ylim(0.3 * max(typical, DEEPEST * max(worst)), 1.4 * max(worst))
         plain_numbers(axes.yaxis)
-    elif axes.get_yscale() == "linear":  # panels of one row share their scale
+    else:
         axes.set_ylim(0.0, 1.08 * max(worst) or 1.0)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.reporting.figures.style import DARK, legend_above, line_style, new_figure, styled
+from hammerstein.experiment.report import TOO_FEW
+from hammerstein.reporting.figures.style import DARK, legend_above, letter, line_style, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -26,7 +27,8 @@ class SensitivityBars:
 
     label : what the legend calls it
     parameters : names, from the top
-    first, total : (parameter, 3) index of the parameter alone and with others, and its lower and upper limit
+    first, total : (parameter, 3) index of the parameter alone and with others, and its lower and upper limit;
+        NaN where the draws were too few
     """
 
     label: str
@@ -36,7 +38,7 @@ class SensitivityBars:
 
 
 def sensitivity_figure(bars: Sequence[SensitivityBars], title: str = "") -> Figure:
-    """First and total indices as bars, a group for each parameter.
+    """First and total indices as bars, a group for each parameter; none where the draws were too few.
 
     Parameters
     ----------
@@ -59,14 +61,20 @@ def sensitivity_figure(bars: Sequence[SensitivityBars], title: str = "") -> Figu
         for number, own in enumerate(bars):
             colour = line_style(number)["color"]
             middle = places + height * (number - 0.5 * (len(bars) - 1))
-            axes.barh(middle, own.total[:, 0], height, color=colour, alpha=PALE_ALPHA, linewidth=0.0)
-            alone = axes.barh(middle, own.first[:, 0], 0.6 * height, color=colour, linewidth=0.0)
+            known = np.isfinite(own.total[:, 0])
+            total, low, high = own.total[known].T
+            axes.barh(middle[known], total, height, color=colour, alpha=PALE_ALPHA, linewidth=0.0)
+            first = np.nan_to_num(own.first[:, 0])
+            alone = axes.barh(middle, first, 0.6 * height, color=colour, linewidth=0.0)
             entries[own.label] = alone.patches[0]
-            axes.hlines(middle, own.total[:, 1], own.total[:, 2], color=DARK, linewidth=0.8)
+            axes.hlines(middle[known], low, high, color=DARK, linewidth=0.8)
+            for place in middle[~known]:
+                axes.text(0.0, place, f" {TOO_FEW}", color=colour, va="center")
         axes.set_yticks(places, names)
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("share of the variance")
-        axes.set_xlim(left=min(0.0, *(float(own.first[:, 0].min()) for own in bars), 0.0))
+        axes.set_xlim(left=min(0.0, *(float(np.nan_to_num(own.first[:, 0]).min()) for own in bars)))
+        letter(axes, 0)
         legend_above(figure, entries, title)
     return figure

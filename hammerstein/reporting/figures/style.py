@@ -205,12 +205,12 @@ def axis_label(column: str, unit: str) -> str:
     return f"{column_words(column)} [{unit}]" if named else plain(column)
 
 
-def letter(axes: Axes, number: int | None, remark: str = "") -> None:
-    """Write the letter of a panel, if any, above its left corner, and a grey remark above its right one.
+def letter(axes: Axes, number: int, remark: str = "") -> None:
+    """Write the panel's letter above its left corner, and a remark in grey above its right one.
 
     Names of columns may be long: a remark that would reach the letter is written smaller.
     """
-    name = f"({chr(ord('a') + number)})" if number is not None and number < 26 else ""
+    name = f"({chr(ord('a') + number)})" if number < 26 else ""
     place = axes.get_subplotspec()
     share = len(place.colspan) / place.get_gridspec().ncols if place else 1.0
     figure = axes.get_figure(root=True)

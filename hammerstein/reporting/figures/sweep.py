@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,9 @@ LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
 """Two bands that lie over each other stay apart."""
 NOMINAL_WIDTH = 0.5
+BAR_WIDTH = 2.5
+APART = 0.012
+"""Of the length of the axis, between the bars of two curves."""
 """Thin, as the band is what counts."""
 
 
@@ -94,6 +97,7 @@ def sweep_figure(
             for (o, k), axes in np.ndenumerate(panels):
                 entries[plain(curve.label)] = _draw(axes, curve, o, k, number)
         _scale(panels, curves)
+        _draw_bands(panels, curves)
         for number, axes in enumerate(panels.flat):
             o, k = divmod(number, columns)
             letter(axes, number, panel_titles[o][k])
@@ -104,14 +108,8 @@ def sweep_figure(
 
 
 def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) -> Artist:
-    """One curve in one panel, with its band and its tick."""
+    """One curve in one panel, with its tick."""
     style, values = line_style(number) | {"label": plain(curve.label)}, curve.values[output, input_]
-    shared = {"color": style["color"], "label": style["label"]}
-    if curve.band is not None:
-        low, high = (edge[output, input_] for edge in curve.band)
-        axes.fill_between(curve.x, low, high, alpha=BAND_ALPHA, linewidth=0.0, **shared)
-    if curve.nominal is not None:
-        axes.plot(curve.x, curve.nominal[output, input_], linewidth=NOMINAL_WIDTH, **shared)
     markers = sparse_markers(len(values), number, markers=9)
     (line,) = axes.plot(curve.x, values, markevery=markers, **style)
     mark = _mark(curve)
@@ -121,6 +119,35 @@ def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) 
         tick = {"color": style["color"], "markersize": 14, "markeredgewidth": 2.2}
         axes.plot([mark], [height], "|", zorder=3, clip_on=False, **tick)
     return line
+
+
+def _draw_bands(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
+    """Band and nominal value of each curve: an area, or bars beside each other where areas would overlap."""
+    banded = [(number, curve) for number, curve in enumerate(curves) if curve.band is not None]
+    for place, (number, curve) in enumerate(banded):
+        assert curve.band is not None
+        pen = {"color": line_style(number)["color"], "label": plain(curve.label)}
+        for (o, k), axes in np.ndenumerate(panels):
+            low, high = (edge[o, k] for edge in curve.band)
+            nominal = None if curve.nominal is None else curve.nominal[o, k]
+            if len(banded) == 1:
+                axes.fill_between(curve.x, low, high, alpha=BAND_ALPHA, linewidth=0.0, **pen)
+                if nominal is not None:
+                    axes.plot(curve.x, nominal, linewidth=NOMINAL_WIDTH, **pen)
+                continue
+            x = _beside(axes, curve.x, place - 0.5 * (len(banded) - 1))
+            none = np.full_like(x, np.nan)
+            bars = np.array([low, high, none]).T.ravel()
+            axes.plot(np.repeat(x, 3), bars, linewidth=BAR_WIDTH, **pen)
+            if nominal is not None:
+                axes.plot(x, nominal, linestyle="none", marker="D", markersize=3.0, **pen)
+
+
+def _beside(axes: Axes, x: Array, places: float) -> Array:
+    """Places beside others on the horizontal axis, by parts of its length."""
+    if axes.get_xscale() == "log":
+        return np.asarray(x * (x[-1] / x[0]) ** (APART * places))
+    return np.asarray(x + APART * places * (x[-1] - x[0]))
 
 
 def _mark(curve: SweepCurve) -> float | None:
@@ -138,12 +165,18 @@ def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
     if any(_mark(curve) is not None for curve in curves):
         tick = Line2D([], [], linestyle="", marker="|", color="#555555", markersize=11, markeredgewidth=2.2)
         entries["identified here"] = tick
-    if any(curve.band is not None for curve in curves):
-        entries["median, 5 to 95 % of drawn actuators"] = Patch(
-            color="#555555", alpha=BAND_ALPHA, linewidth=0.0
-        )
+    banded = sum(curve.band is not None for curve in curves)
+    words = "median, 5 to 95 % of drawn actuators"
+    grey: dict[str, Any] = {"color": "#555555"}
+    if banded > 1:
+        entries[words] = Line2D([], [], linewidth=BAR_WIDTH, **grey)
+    elif banded:
+        entries[words] = Patch(alpha=BAND_ALPHA, linewidth=0.0, **grey)
     if any(curve.nominal is not None for curve in curves):
-        entries["nominal actuator"] = Line2D([], [], color="#555555", linewidth=NOMINAL_WIDTH)
+        point: dict[str, Any] = {"linestyle": "none", "marker": "D", "markersize": 3.0}
+        entries["nominal actuator"] = Line2D(
+            [], [], **grey, **(point if banded > 1 else {"linewidth": NOMINAL_WIDTH})
+        )
     return entries
 
 

@@ -1,0 +1,90 @@
+"""The page of a fit: its first lines, its end, and what its figures say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import made_up
+import numpy as np
+import pytest
+from made_up_cases import stage_records
+from record_cases import plain
+
+from hammerstein.identification.fit import KIND_NAMES, Fit
+from hammerstein.identification.identify import identify
+from hammerstein.identification.linear.frequency_response import FrequencyResponse
+from hammerstein.model import HammersteinModel
+from hammerstein.reporting.figures.identified import operators_figure, residual_figure, response_figure
+from hammerstein.reporting.fit_page import fit_page
+
+SETTINGS = plain(operators=6, partition="fitted")
+Found = tuple[HammersteinModel, Fit]
+
+
+@pytest.fixture(scope="module")
+def fits() -> tuple[Found, Found]:
+    """One stage, identified with a validation record and without."""
+    made = made_up.stage(0, noise_um=0.01, plays=6, rate_hz=5e3)
+    fitted, held = stage_records(made, np.random.default_rng(1), cycles=4, hz=5.0)
+    return identify(fitted, SETTINGS, validation=[held]), identify(fitted, plain(partition="fitted"))
+
+
+def _first_lines(found: Found) -> list[str]:
+    return fit_page(*found).markdown().split("\n\n")[1].splitlines()
+
+
+def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds(
+    fits: tuple[Found, Found],
+) -> None:
+    tested, alone = map(_first_lines, fits)
+    assert tested[0] == "* **Usable for simulation and compensation**."
+    assert tested[1].startswith("* Rms error: ")
+    assert "validation records" in tested[1]
+    assert "fitted records" in alone[1]
+    assert "untested on other records" in alone[0]
+    assert tested[-1].startswith(f"* Next: `hammerstein compensate {fits[0][0].name}.json path.csv --law ")
+    assert "with a validation record" in alone[-1]
+    assert len(tested) == len(alone) == 5
+    headings = [line for line in fit_page(*fits[0]).markdown().splitlines() if line.startswith("## ")]
+    assert headings[-1] == "## Thresholds"
+
+
+def test_the_residual_of_the_kept_model_is_the_one_solid_line(fits: tuple[Found, Found]) -> None:
+    _, fit = fits[0]
+    over_time, over_hz = residual_figure(fit, fit.held[0], fit.held_starts[0]).axes[:2]
+    lines = {line.get_linestyle(): line for line in over_hz.lines}
+    assert len(lines) == len(over_hz.lines)
+    assert lines["-"].get_zorder() == max(line.get_zorder() for line in over_hz.lines)
+    assert over_time.get_title("right") == KIND_NAMES[fit.kind]
+    assert over_hz.get_title("right") == "all models"
+
+
+def test_thresholds_fitted_and_not_fitted_have_entries_of_their_own(fits: tuple[Found, Found]) -> None:
+    given, fitted = fits[1][1], replace(fits[0][1], error_curve=fits[1][1].error_curve)
+    for fit, own in (
+        (fitted, "this model on the validation records, thresholds fitted"),
+        (given, "this model on the fitted records"),
+    ):
+        (legend,) = operators_figure(fit).legends
+        words = [text.get_text().replace("\n", " ") for text in legend.get_texts()]
+        assert words[0] == f"{fit.outputs[0]}, held out, thresholds not fitted"
+        assert words[-1] == own
+
+
+def test_a_gain_that_is_scatter_is_not_drawn_and_a_flat_one_has_no_peaks(fits: tuple[Found, Found]) -> None:
+    _, fit = fits[0]
+    hz = np.array([1.0, 2.0, 5.0, 10.0])
+    gain = np.array([1.0, 1.01, 1.0, 40.0])
+    coherence = np.array([[1.0, 0.99, 0.9, 0.05]] * 2)
+    response = FrequencyResponse(
+        hz, np.ones((2, 2, 1)) * gain + 0j, coherence, np.ones((2, 2, 4)) + 0j, 0.0 * coherence, 1e-3
+    )
+    panels = response_figure(fit, response, response).axes
+    for o in range(2):
+        for axes in panels[3 * o : 3 * o + 2]:
+            for line in axes.lines:
+                np.testing.assert_allclose(line.get_xdata(), hz[:3])
+            low, high = axes.get_ylim()
+            assert high >= 1.49 * low
+            assert axes.get_xlim() == (1.0, 10.0)
+        np.testing.assert_allclose(panels[3 * o + 2].lines[0].get_ydata(), coherence[o])
