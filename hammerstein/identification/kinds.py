@@ -160,17 +160,19 @@ def _better(task: Task, found: dict[Kind, Found], others: dict[Kind, Found]) -> 
 
 
 def _late(task: Task, thresholds_v: Thresholds, free: bool) -> list[Whole]:
-    """Blocks without dynamics: with the delay known, or with longer ones until two leave more."""
-    if not free:
-        return [_before(task, thresholds_v, Behind((), task.delay_samples))]
-    found: list[Whole] = []
+    """Blocks without dynamics: with the delay known, or with longer ones until two leave more.
+
+    What went before the records was judged with plays, and is judged anew with the block itself.
+    """
+    whole = _before(task, thresholds_v, Behind((), 0.0 if free else task.delay_samples))
+    found = [_begun_anew(task, thresholds_v, whole, first=False)]
+    task = replace(task, starts=found[0].starts)
     left: list[float] = []
-    for delay in range(MOST_DELAY + 1):
-        like = _again(found[-1].block) if found else None
-        found.append(_before(task, thresholds_v, Behind((), delay), like))
+    for delay in range(1, MOST_DELAY + 1 if free else 1):
         left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
-        if delay - int(np.argmin(left)) >= WORSE_DELAYS:
+        if len(left) - 1 - int(np.argmin(left)) >= WORSE_DELAYS:
             break
+        found.append(_before(task, thresholds_v, Behind((), delay), _again(found[-1].block)))
     return found
 
 
@@ -255,12 +257,9 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
         found = search_behind(task, whole.block.hysteresis, found, late)
         whole = _before(task, thresholds_v, found, _again(whole.block) if turn else None)
         found = whole.behind
-        starts = _starts_behind(task, thresholds_v, whole, first=turn == 0)
-        moved = starts != task.starts
-        if moved:
-            task = replace(task, starts=starts)
-            whole = _before(task, thresholds_v, found, whole.block)
-            found = whole.behind
+        begun = _begun_anew(task, thresholds_v, whole, first=turn == 0)
+        moved = begun is not whole
+        whole, found, task = begun, begun.behind, replace(task, starts=begun.starts)
         error = score(whole.candidate, task.records, task.starts).mean_percent
         if error > (1.0 - WORTHWHILE) * least and not moved:
             break
@@ -272,6 +271,14 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
 def _again(block: Replacement) -> Replacement | None:
     """Where the search for the block goes on; nowhere for one whose columns are chosen anew."""
     return None if block.picked else block
+
+
+def _begun_anew(task: Task, thresholds_v: Thresholds, whole: Whole, first: bool) -> Whole:
+    """The same model, or the one fitted anew where the records began otherwise for it."""
+    starts = _starts_behind(task, thresholds_v, whole, first)
+    if starts == task.starts:
+        return whole
+    return _before(replace(task, starts=starts), thresholds_v, whole.behind, whole.block)
 
 
 def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole, first: bool) -> tuple[Start, ...]:
