@@ -13,8 +13,10 @@ outputs tell of d by H = sum of (A + G M)'(A + G M) / s^2.
   within a sixteenth of a record (White, Econometrica 48 (1980) 817-838): where that makes one larger, it is
   scaled.
 * What the model leaves beyond the noise is its own error. It is put down to thresholds: they differ from
-  those of the actuator by independent parts of their cells, as large as leaves on the records what the model
-  leaves there. The numbers fitted follow.
+  those of the actuator by independent parts of their cells, and the numbers fitted follow. Without
+  thresholds it is put down to the numbers fitted, in the ways that the records tell least. Draws of either
+  are as large as leaves on the records what the model leaves there, by simulation: a line tells only of
+  small ones.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
+from hammerstein.identification.rates import fastest_rad_per_s
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import Start
 from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
@@ -41,8 +44,10 @@ STEP = 1e-4
 """Change of a number for its derivative, in parts of how far it can be from where it is."""
 COUNTED = 50_000
 """Samples of all records together that count: of longer ones neighbours are averaged, to fit the memory."""
-RELATED = 16
-"""Samples over which what a model misses hangs together."""
+RELATED, RELATED_RAD = 16, 0.5
+"""Samples over which what a model misses hangs together at most, and angle of the fastest motion."""
+DRAWS = 8
+"""Draws by which the error of the model itself is made as large as the records show."""
 TOLD = 1e-9
 """Information on a way of the places, in parts of the largest, from which the records tell it at all."""
 UNTOLD = 0.9
@@ -73,11 +78,14 @@ def parameter_covariance(
         _told_by(candidate, record, start, scale, every)
         for record, start in zip(records, starts, strict=True)
     ]
-    mean = _pooled(told, hysteresis)
+    mean = _pooled(told, hysteresis, _related(records))
     free = np.flatnonzero(scale > 0.0)
     fitted = free if thresholds_fitted else free[free >= cells]
     own = _of_fitted(mean, told, fitted, scale)
-    misfit = _of_places(mean, told, fitted, free[free < cells], scale)
+    misfit, squares = _of_places(mean, told, fitted, free[free < cells], scale)
+    if not misfit.size:
+        misfit, squares = own, _excess(mean)
+    misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares)
     alone = np.linalg.norm(own, axis=1)
     untold = [int(i) for i in fitted if i < cells and alone[i] > UNTOLD * scale[i]]
     factor = triangle(np.hstack([own, misfit]))
@@ -163,11 +171,18 @@ class _Mean(NamedTuple):
     samples: int
 
 
-def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any]) -> _Mean:
+def _related(records: Sequence[Record]) -> int:
+    """Samples over which what a model misses hangs together: it moves as the voltages do."""
+    step_s = max(record.sample_time_s for record in records)
+    fastest = max(float(fastest_rad_per_s(records).max()) * step_s, np.finfo(float).tiny)
+    return int(np.clip(RELATED_RAD / fastest, 2, RELATED))
+
+
+def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any], related: int) -> _Mean:
     """Information (number, number) of each output on the numbers, with the weights eliminated."""
     samples = sum(one.residual.shape[1] for one in told)
     variance = np.sum([np.sum(one.residual**2, axis=1) for one in told], axis=0) / samples
-    misfit = _misfit([one.residual for one in told], variance)
+    misfit = _misfit([one.residual for one in told], variance, related)
     information, following = [], []
     known = hysteresis.weight_covariance or ()
     for o, (weights, s2) in enumerate(zip(known, variance, strict=True)):
@@ -180,12 +195,11 @@ def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any]) -> _Mean:
     return _Mean(tuple(information), tuple(following), variance, misfit, samples)
 
 
-def _misfit(left: Sequence[Array], variance: Array) -> Array:
-    """Part (output,) of what is left that hangs together from sample to sample, beyond chance [um^2].
+def _misfit(left: Sequence[Array], variance: Array, n: int) -> Array:
+    """Part (output,) of what is left that hangs together over n samples, beyond chance [um^2].
 
     The mean of n samples of white noise has the variance s^2 / n; what it has more is no noise.
     """
-    n = RELATED
     means = np.hstack([_averaged(row, n) for row in left])
     chance = np.sqrt(2.0 / max(means.shape[1], 1)) * variance / (n - 1)
     more = (n * np.mean(means**2, axis=1) - variance) / (n - 1) if means.size else 0.0 * variance
@@ -224,16 +238,23 @@ def _scores(one: _Told, mean: _Mean, fitted: Indices) -> list[Array]:
     return found
 
 
-def _of_places(mean: _Mean, told: Sequence[_Told], fitted: Indices, places: Indices, scale: Array) -> Array:
-    """Matrix S (number, place) of places as far from the actuator's as explains what is left of the records.
+def _excess(mean: _Mean) -> float:
+    """Squares of all outputs that are no noise, each in parts of its variance."""
+    return mean.samples * float(np.sum(mean.misfit / np.maximum(mean.variance, np.finfo(float).tiny)))
 
-    The numbers that were fitted beside them follow. With C the covariance of the cells, H what the records
-    tell of n places, and their pull q on them, moving the places by k C leaves k tr(H C) on the records;
-    they explain q' H^-1 q there, n of it by chance. What is left may hold more misfit than a line tells.
+
+def _of_places(
+    mean: _Mean, told: Sequence[_Told], fitted: Indices, places: Indices, scale: Array
+) -> tuple[Array, float]:
+    """Matrix S (number, place) of places that err by their cells, and the squares that they leave.
+
+    The numbers that were fitted beside them follow. With H what the records tell of n places, and their pull
+    q on them, they explain q' H^-1 q there, n of it by chance. What is left may hold more misfit than a line
+    tells.
     """
     spread = np.zeros((len(scale), len(places)))
     if not places.size:
-        return spread
+        return spread, 0.0
     spread[places] = np.diag(scale[places])
     others = np.setdiff1d(fitted, places)
     information = np.sum(mean.information, axis=0)
@@ -243,10 +264,42 @@ def _of_places(mean: _Mean, told: Sequence[_Told], fitted: Indices, places: Indi
     values, vectors = np.linalg.eigh(spread.T @ information @ spread)
     told_of = values > TOLD * max(float(values[-1]), np.finfo(float).tiny)
     if not told_of.any():
-        return np.zeros_like(spread)
+        return np.zeros_like(spread), 0.0
     numbers = np.arange(len(scale))
-    pull = np.sum([score for one in told for score in _scores(one, mean, numbers)], axis=0)
-    values, pulls = values[told_of], (vectors.T @ (spread.T @ pull))[told_of]
-    excess = mean.samples * float(np.sum(mean.misfit / np.maximum(mean.variance, np.finfo(float).tiny)))
-    explained = float(np.sum(pulls**2 / values)) - len(values)
-    return np.asarray(spread * np.sqrt(max(explained, excess) / float(values.sum())))
+    pull = vectors.T @ (spread.T @ np.sum([q for one in told for q in _scores(one, mean, numbers)], axis=0))
+    explained = float(np.sum(pull[told_of] ** 2 / values[told_of])) - int(told_of.sum())
+    return spread, max(explained, _excess(mean))
+
+
+def _size(
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[Start],
+    told: Sequence[_Told],
+    mean: _Mean,
+    spread: Array,
+    squares: float,
+) -> float:
+    """Factor k with which draws of k S leave so many squares on the records, on average.
+
+    A line gives the first: with H what the records tell, k S leaves k^2 tr(S' H S). Where simulated draws
+    leave less, as what plays leave does not grow with all of their cells, the factor is larger.
+    """
+    line = float(np.sum(spread * (np.sum(mean.information, axis=0) @ spread)))
+    if not (squares > 0.0 and line > 0.0):
+        return 0.0
+    hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
+    x, size = beside_weights(hysteresis, dynamics), math.sqrt(squares / line)
+    normals = np.random.default_rng(0).standard_normal((DRAWS, spread.shape[1]))
+    normals /= np.sqrt(np.mean(normals**2, axis=0))
+    for _ in range(2):
+        left = 0.0
+        for change in size * normals @ spread.T:
+            weights = [w + m @ change for w, m in zip(hysteresis.weights, mean.following, strict=True)]
+            block, axes = with_beside_weights(hysteresis, dynamics, x + change)
+            moved = Candidate(block.with_weights(weights), axes, candidate.sensor)
+            for one, record, start in zip(told, records, starts, strict=True):
+                errors = moved.residual(record, start) - one.residual
+                left += float(np.sum(np.sum(errors**2, axis=1) / mean.variance)) / DRAWS
+        size *= max(math.sqrt(squares / left), 1.0) if left > 0.0 else 1.0
+    return size
