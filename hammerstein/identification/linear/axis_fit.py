@@ -25,6 +25,8 @@ PARTS = 16
 """Parts of a record within which errors may be related."""
 NEAR = 1.15
 """Ratio of frequencies that belong to a resonance."""
+SETTLED_CYCLES = 4.0
+"""Cycles of a record from which its spectrum has lines."""
 EXCITED = 2.0
 """Amplitude near a resonance, in parts of what the model leaves there, from which it counts as excited."""
 
@@ -147,12 +149,16 @@ def _excited(task: AxisTask, point: Point) -> bool:
 def _among_harmonics(task: AxisTask, point: Point) -> bool:
     """Whether all records are driven at one rate, of which fewer than two multiples are near the resonance.
 
-    One line of a spectrum is two numbers, as many as a resonance has: it explains any harmonic there.
+    One line of a spectrum is two numbers, as many as a resonance has: it explains any harmonic there. A
+    record of few cycles has no lines: it rings from its start.
     """
-    if several_rates(task.records):
+    rates_hz = [drive_hz(record) for record in task.records]
+    times_s = [record.samples * record.sample_time_s for record in task.records]
+    cycles = [rate * time for rate, time in zip(rates_hz, times_s, strict=True)]
+    if several_rates(task.records) or max(cycles) < SETTLED_CYCLES:
         return False
     width_hz = math.exp(point.x[0]) * (NEAR - 1.0 / NEAR)
-    return width_hz < 2.0 * min(drive_hz(record) for record in task.records)
+    return width_hz < 2.0 * min(rates_hz)
 
 
 def _first_creep(task: AxisTask) -> Array:
