@@ -229,10 +229,12 @@ def _refuse_twice(records: Sequence[Record]) -> None:
     for i, record in enumerate(records):
         for other in records[:i]:
             if _are_one(record, other):
-                named = (
-                    "twice" if record.source == other.source else (f"is the same record as {other.source}")
+                what = (
+                    "is given twice"
+                    if record.source == other.source
+                    else f"is the same record as {other.source}"
                 )
-                raise InputError(record.source, f"is given {named}: give every record once")
+                raise InputError(record.source, f"{what}: give every record once")
 
 
 def _are_one(record: Record, other: Record) -> bool:

@@ -120,7 +120,7 @@ def test_paper_procedure_on_records_of_each_input():
 
 
 def test_paper_procedure_needs_each_input_alone():
-    with pytest.raises(IdentificationError, match="input u2 alone"):
+    with pytest.raises(IdentificationError, match="only input u2 is driven"):
         closed_form_model([driven_alone(0)], 15)
 
 

@@ -365,7 +365,7 @@ def test_a_record_that_is_given_twice_is_refused_by_whatever_name():
     other = Record([u], [3.0 * u + 0.01 * u**2], 1e-3, source="c.csv")
     for given, said in (
         ([one, one], "a.csv: is given twice"),
-        ([one, copy], "b.csv: is given as a.csv already"),
+        ([one, copy], "b.csv: is the same record as a.csv"),
     ):
         with pytest.raises(InputError, match=said):
             identify(given, plain(operators=1))

@@ -58,7 +58,7 @@ def test_texts_are_short_and_say_what_it_is(model, response, record):
         repr(model.hysteresis.pairs[0][0]): ["Pair(15 operators", "6.231 um/V"],
         repr(hammerstein.Pair.absent()): ["Pair(absent)"],
         repr(hammerstein.discretise(model.dynamics, 5e-5)): [
-            "LinearBlock(order 4, 2 inputs, 2 outputs, 5e-05 s"
+            "LinearBlock(order 4, 2 inputs, 2 outputs, with a sample time of 5e-05 s"
         ],
         repr(model.dynamics.block()): ["LinearBlock(order 4, 2 inputs, 2 outputs, continuous)"],
         repr(response): ["Response(2000 samples of 0.0001 s, 2 inputs, 2 outputs; position -"],

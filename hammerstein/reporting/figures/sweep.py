@@ -31,10 +31,11 @@ LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
 """Two bands that lie over each other stay apart."""
 NOMINAL_WIDTH = 0.5
+"""Thin, as the band is what counts."""
 BAR_WIDTH = 2.5
+"""Of the bars of several bands beside each other [pt]."""
 APART = 0.012
 """Of the length of the axis, between the bars of two curves."""
-"""Thin, as the band is what counts."""
 
 
 @dataclass(frozen=True, eq=False)
