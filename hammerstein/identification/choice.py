@@ -18,15 +18,12 @@ from hammerstein.dynamics import (
     split_delay,
 )
 from hammerstein.identification.score import Candidate, columns_of, ranges
-from hammerstein.identification.static.folds import FOLDS, PARTS, moments_of_folds
-from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
+from hammerstein.identification.static.folds import FOLDS, PARTS, moments_of_folds, refitted
+from hammerstein.identification.static.normal_equations import Moments, pooled, squares_left
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record
 
-UNTOLD = 1e-3
-"""Part of their power in all folds that combinations of weights must show in some, or they stay as in all. A
-fold that alone has the largest amplitude would be predicted from what the others hardly show."""
 FELT = 0.02
 """Part of the error that a gain must be to matter: less is not worth a parameter, however sure it is."""
 MOST_WORSE = 0.05
@@ -215,7 +212,7 @@ def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequen
         whole = pooled([part[f] for part in parts for f in part])
         for fold in range(FOLDS):
             others = [part[f] for part in parts for f in part if f != fold]
-            found = weights + _change(pooled(others), whole, weights) if others else weights
+            found = refitted(pooled(others), whole, weights) if others else weights
             for i, part in enumerate(parts):
                 test = part.get(fold)
                 if test is not None:
@@ -226,16 +223,6 @@ def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequen
 
 def _left(test: Moments, weights: Array) -> float:
     return squares_left(test.gram, test.cross[:, 0], float(test.power[0]), weights)
-
-
-def _change(train: Moments, whole: Moments, weights: Array) -> Array:
-    """Change of the weights to those that suit some folds; none of what these leave open.
-
-    The least of |X d - e|^2 + UNTOLD |X_all d|^2, with the columns X and the errors e of these folds: a
-    combination of which they hold the part p of its power changes by p / (p + UNTOLD) of what suits them.
-    """
-    held = UNTOLD * whole.gram + np.diag(np.full(len(weights), np.finfo(float).tiny))
-    return coefficients(train.gram + held, train.cross[:, 0] - train.gram @ weights)
 
 
 def moments_of_output(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,9 +12,9 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.choices import Partition
 from hammerstein.identification.score import ranges
-from hammerstein.identification.static.folds import PARTS, left_out, moments_of_folds
+from hammerstein.identification.static.folds import PARTS, left_out, moments_of_folds, refitted
 from hammerstein.identification.static.history import shortened
-from hammerstein.identification.static.normal_equations import coefficients
+from hammerstein.identification.static.normal_equations import coefficients, pooled
 from hammerstein.identification.static.partition import (
     thresholds_uniform_in_time,
     thresholds_uniform_in_voltage,
@@ -121,7 +122,9 @@ def error_curve(
                 filters = path_filters(through, i, o, columns, len(span))
                 blocks = regressor_blocks(delayed(record, start, delay_samples), start, grids, filters)
                 parts.append(moments_of_folds(blocks, record.y_um[[o]], start.first, columns, PARTS))
-            squares[o], samples = left_out(parts, lambda m: coefficients(m.gram, m.cross[:, 0]))
+            whole = pooled([moments for part in parts for moments in part.values()])
+            found = partial(refitted, whole=whole, weights=coefficients(whole.gram, whole.cross[:, 0]))
+            squares[o], samples = left_out(parts, found)
         points.append(CurvePoint(n, tuple((100.0 * np.sqrt(squares / samples) / span).tolist())))
     return tuple(points)
 

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+import theory
 
 from hammerstein.errors import IdentificationError
+from hammerstein.identification.operators import enough_operators, error_curve
 from hammerstein.identification.static.folds import FOLDS, left_out, moments_of_folds
+from hammerstein.identification.static.regressors import Start
+from hammerstein.records.record import Record
 
 
 def folds(parts, samples=90):
@@ -42,3 +46,21 @@ def test_what_is_left_out_is_judged_with_the_coefficients_of_the_rest():
         expected += np.sum((held[3] - weights @ held[:3]) ** 2)
     assert counted == samples
     assert total == pytest.approx(expected, rel=1e-9)
+
+
+def test_numbers_of_operators_are_not_judged_by_what_one_part_alone_shows():
+    """The first loops alone are the largest: without them the largest thresholds tell nothing."""
+    t = np.arange(6000) * 2e-4
+    loops = 10.0 * np.linspace(1.0, 0.3, t.size) * np.sin(2.0 * np.pi * 5.0 * t)
+    u = np.concatenate([loops, np.zeros(t.size)])[None]
+    r = np.array([0.0, 0.6, 1.3, 1.9, 2.8, 3.3, 4.4, 5.2, 5.9, 6.7])
+    w = np.array([4.0, 0.3, 0.5, 0.2, 0.5, 0.4, 0.3, 0.5, 0.2, 0.4])
+    clean = theory.prandtl_ishlinskii(u, [[r]], [[w]])
+    noise_um = 0.03
+    y = clean + noise_um * np.random.default_rng(0).standard_normal(clean.shape)
+    curve = error_curve([Record(u, y, 2e-4)], [Start("rest")])
+    held_out = {point.operators: point.mean_percent for point in curve}
+    assert (
+        held_out[60] * np.ptp(y) / 100.0 < 1.5 * noise_um
+    )  # a grid of 0.16 V leaves w h / 4 about a threshold
+    assert enough_operators(curve) > 20

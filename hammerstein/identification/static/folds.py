@@ -9,12 +9,21 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled, squares_left
+from hammerstein.identification.static.normal_equations import (
+    Moments,
+    coefficients,
+    moments_of,
+    pooled,
+    squares_left,
+)
 
 FOLDS = 4
 """Parts of which one is left out at a time."""
 PARTS = 16
 """Parts into which a record falls; every fourth of them is one fold."""
+UNTOLD = 1e-3
+"""Part of their power in all folds that combinations of weights must show in some, or they stay as in all. A
+fold that alone has the largest amplitude would be predicted from what the others hardly show."""
 
 
 def moments_of_folds(
@@ -62,3 +71,16 @@ def left_out(
             total += squares_left(held.gram, held.cross[:, 0], float(held.power[0]), found(pooled(rest)))
             samples += held.samples
     return total, samples
+
+
+def refitted(train: Moments, whole: Moments, weights: Array) -> Array:
+    """Weights that suit some folds; as they are for all where these leave them open.
+
+    Their change d is the least of |X d - e|^2 + UNTOLD |X_all d|^2, with the columns X and the errors e of
+    these folds: a combination of which they hold the part p of its power changes by p / (p + UNTOLD) of what
+    suits them.
+
+    whole, weights : moments of all folds, and the weights that suit them
+    """
+    held = UNTOLD * whole.gram + np.diag(np.full(len(weights), np.finfo(float).tiny))
+    return np.asarray(weights + coefficients(train.gram + held, train.cross[:, 0] - train.gram @ weights))
