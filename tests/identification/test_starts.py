@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
+from hammerstein.errors import IdentificationError
 from hammerstein.identification import first_look
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import closed, each_alone, judged_starts, shortened
+from hammerstein.identification.static.history import (
+    closed,
+    each_alone,
+    found_starts,
+    judged_starts,
+    shortened,
+)
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.record import Record
 
@@ -99,3 +106,22 @@ def test_what_a_record_adds_to_a_first_model_is_gathered_once_for_each_start(mon
         predicted = models.fitted(starts).predict(records[0], rest)
         assert np.abs(predicted - 5.0 * U).max() < 1e-6
     assert len(gathered) == len(set(gathered)) == 4
+
+
+@pytest.mark.parametrize("rest_serves", [True, False])
+def test_a_beginning_without_a_model_is_none(rest_serves):
+    """Inputs that only a supposed beginning leaves alike are told apart by the others."""
+    t = np.linspace(0.0, 1.0, 200)
+    u = np.sin(2.0 * np.pi * 2.0 * t)[None]
+    records = [Record(u, 0.5 * u, 5e-3)] * 2
+
+    def fit(starts):
+        if not (rest_serves and all(start.kind == "rest" for start in starts)):
+            raise IdentificationError("the records cannot separate inputs")
+        return lambda record, start: 0.5 * record.u_v
+
+    if rest_serves:
+        assert [start.kind for start in found_starts(records, fit, 0.0)] == ["rest", "rest"]
+    else:
+        with pytest.raises(IdentificationError, match="cannot separate"):
+            found_starts(records, fit, 0.0)

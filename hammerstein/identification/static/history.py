@@ -10,6 +10,7 @@ from functools import cache, partial
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.errors import IdentificationError
 from hammerstein.identification.choices import StartMode
 from hammerstein.identification.static.regressors import Start
 from hammerstein.records.excitation import driven_inputs, moves_while_held, run_in
@@ -328,12 +329,12 @@ def found_starts(
     tried: dict[tuple[Start, ...], float] = {}
     for starts in ways.values():
         if starts not in tried:
-            tried[starts] = _whole_error(records, starts, fit(starts))
+            tried[starts] = _error_of(records, starts, fit)
     best = next(starts for starts, error in tried.items() if error <= (1.0 + WORTH) * min(tried.values()))
     best = each_alone(records, best, fit, range(len(records)) if len(records) > 1 else ())
     for _ in range(START_ROUNDS):
         found = judged_starts(records, fit(best), settle_s, mode)
-        if found == best:
+        if found == best or math.isinf(_error_of(records, found, fit)):
             break
         best = found
     return best
@@ -351,7 +352,7 @@ def each_alone(
     """
     if not numbers:
         return starts
-    error = _whole_error(records, starts, fit(starts))
+    error = _error_of(records, starts, fit)
     for i in numbers:
         record = records[i]
         if record.period_samples is not None:
@@ -360,7 +361,7 @@ def each_alone(
             other = (*starts[:i], _of_kind(kind, record), *starts[i + 1 :])
             if other == starts:
                 continue
-            left = _whole_error(records, other, fit(other))
+            left = _error_of(records, other, fit)
             if left < (1.0 - TURN_WORTH) * error:
                 starts, error = other, left
     return starts
@@ -373,6 +374,23 @@ def unexplained(records: Sequence[Record], starts: Sequence[Start]) -> list[int]
         for i, (record, start) in enumerate(zip(records, starts, strict=True))
         if start.kind == "repeated" and record.period_samples is None and not closed(record)
     ]
+
+
+def _error_of(
+    records: Sequence[Record],
+    starts: tuple[Start, ...],
+    fit: Callable[[Sequence[Start]], Callable[[Record, Start], Array]],
+) -> float:
+    """Mean squared error of whole records that begin so; infinite where no model can be fitted.
+
+    A beginning that is only supposed may leave plays of two inputs that never move: the records then seem not
+    to tell the inputs apart, though they do. If it is so from every beginning, the fit to the best says so.
+    """
+    try:
+        predict = fit(starts)
+    except IdentificationError:
+        return math.inf
+    return _whole_error(records, starts, predict)
 
 
 def _whole_error(
