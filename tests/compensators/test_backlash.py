@@ -43,10 +43,13 @@ def stage(tmp_path_factory):
 
 def test_its_half_width_and_gain_are_identified(stage):
     pair = HammersteinModel.load(stage / "stage.json").hysteresis.pairs[0][0]
-    strong = np.flatnonzero(np.abs(pair.weights_um_per_v) > 0.01 * GAIN_UM_PER_V)
-    assert strong.size == 1
-    assert pair.thresholds_v[strong[0]] == pytest.approx(HALF_BACKLASH_V, abs=2e-3)
-    assert pair.weights_um_per_v[strong[0]] == pytest.approx(GAIN_UM_PER_V, rel=1e-3)
+    weights, thresholds_v = (
+        pair.weights_um_per_v,
+        pair.thresholds_v,
+    )  # noise may part a play in two neighbours
+    assert weights.sum() == pytest.approx(GAIN_UM_PER_V, rel=1e-3)
+    assert weights @ thresholds_v / weights.sum() == pytest.approx(HALF_BACKLASH_V, abs=2e-3)
+    assert (np.abs(thresholds_v - HALF_BACKLASH_V)[np.abs(weights) > 0.01 * GAIN_UM_PER_V] < 0.1).all()
 
 
 def test_its_inverse_takes_the_backlash_up_at_each_turn(stage):
