@@ -86,15 +86,11 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     before = built.best
     task = task.delayed_as(before.candidate.dynamics)
     thresholds_v = _thresholds_of_plays(built)
-    tried = _late(task, thresholds_v, free=_free_delay(task))
-    late = len(tried)
+    tried = [_without_axes(task, thresholds_v, free=_free_delay(task))]
     asked = settings.dynamics != "auto" or settings.creep_modes not in (0, "auto")
     if settings.dynamics != "none" and (asked or several_rates(task.records)):
         tried.append(_with_axes(task, thresholds_v, tried[0].block))
-    trials = trials_of(task, tried)
-    nearest = chosen([replace(trial, parameters=i) for i, trial in enumerate(trials[:late])])  # the shortest
-    kept = [nearest, *range(late, len(tried))]
-    found = tried[kept[chosen([trials[i] for i in kept])]]
+    found = tried[chosen(trials_of(task, tried))]
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
     name: Kind = "static_hysteresis" if found.behind.is_static else "hammerstein"
     axes = () if found.behind.is_static else found.behind.fits
@@ -159,21 +155,29 @@ def _better(task: Task, found: dict[Kind, Found], others: dict[Kind, Found]) -> 
     return {kind: min([one, others.get(kind, one)], key=left) for kind, one in found.items()}
 
 
-def _late(task: Task, thresholds_v: Thresholds, free: bool) -> list[Whole]:
-    """Blocks without dynamics: with the delay known, or with longer ones until two leave more.
+def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Whole:
+    """Block without dynamics: with the delay known, or the shortest that is as good as any.
 
-    What went before the records was judged with plays, and is judged anew with the block itself.
+    What went before the records was judged with plays. It is judged anew with the block itself once the delay
+    is known, for a delay looks like another beginning.
     """
-    whole = _before(task, thresholds_v, Behind((), 0.0 if free else task.delay_samples))
-    found = [_begun_anew(task, thresholds_v, whole, first=False)]
-    task = replace(task, starts=found[0].starts)
+    delays = range(MOST_DELAY + 1) if free else (task.delay_samples,)
+    found: list[Whole] = []
     left: list[float] = []
-    for delay in range(1, MOST_DELAY + 1 if free else 1):
+    for turn, delay in enumerate(delays):
+        like = _again(found[-1].block) if found else None
+        found.append(_before(task, thresholds_v, Behind((), delay), like))
         left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
-        if len(left) - 1 - int(np.argmin(left)) >= WORSE_DELAYS:
+        if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
-        found.append(_before(task, thresholds_v, Behind((), delay), _again(found[-1].block)))
-    return found
+    nearest = _first_as_good(task, found)
+    begun = _begun_anew(task, thresholds_v, nearest, first=False)
+    return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
+
+
+def _first_as_good(task: Task, found: Sequence[Whole]) -> Whole:
+    """The first of several models that no other one is beyond doubt better than."""
+    return found[chosen([replace(t, parameters=i) for i, t in enumerate(trials_of(task, found))])]
 
 
 def _free_delay(task: Task) -> bool:

@@ -27,8 +27,8 @@ LEFT = {
     "2.4": "constants are anonymous enumerations, which have no tag to use",
     "8.7": "functions of the interface need external linkage",
     "8.9": "tables are grouped at the top with their meaning",
-    "10.6": "integers 0, 1, 2 selected by a comparison, which the checker reads as a composite expression",
-    "14.1": "loops with a constant bound that may end earlier by a comparison",
+    "10.6": "a comparison selects an integer 0, 1 or 2; the checker takes this for a composite expression",
+    "14.1": "loops with a constant bound may end earlier by a comparison",
 }
 """Rules of MISRA C:2012 that the code does not keep by the checker's reading, each with its reason."""
 
