@@ -4,7 +4,7 @@ from hammerstein.blocks.law import (
     Controller as Controller,
     Law as Law,
     Learner as Learner,
+    Memory as Memory,
     checked_reference as checked_reference,
     require_square as require_square,
 )
-from hammerstein.blocks.memory import Memory as Memory

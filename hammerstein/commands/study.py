@@ -150,7 +150,7 @@ def _alone(out: Path) -> Iterator[None]:
     is no such folder, the one that ends last has its rows in the file.
     """
     from hammerstein.runtime.resources import cache_folder
-    from hammerstein.runtime.storage.lock import locked
+    from hammerstein.runtime.storage.staging import locked
 
     with contextlib.ExitStack() as held:
         if (place := cache_folder()) is not None:

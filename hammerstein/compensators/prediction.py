@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.compensators.path_units import half_span_v, travel_um
+from hammerstein.compensators.path_file import half_span_v, travel_um
 from hammerstein.model import HammersteinModel
 
 NOTHING_UM = 1e-6

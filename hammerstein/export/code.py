@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from pydantic import Field
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
@@ -23,12 +24,25 @@ from hammerstein.export.compiling import FLAGS, CallShape, Library
 from hammerstein.export.forward import ForwardModel
 from hammerstein.export.golden import adverse
 from hammerstein.export.literals import identifier, in_single_precision, initializer
-from hammerstein.export.measured_code import MeasuredCode
 from hammerstein.export.operations import Code, Cost
 from hammerstein.export.parallel_blocks import Beside
 from hammerstein.export.request import MODEL, Request
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V
+from hammerstein.validation import Strict
+
+
+class MeasuredCode(Strict):
+    """Figures that stand in the code, and are kept with it.
+
+    Without a C compiler there are none.
+    """
+
+    operations: int | None = Field(default=None, description="most operations of a step that were found")
+    samples: int = Field(default=0, description="samples of the search")
+    loss_rms: float | None = Field(default=None, description="of single precision, in the unit of the output")
+    loss_max: float | None = None
+
 
 LOWEST, HIGHEST = ("low", "lowest_v", "drive_lowest"), ("high", "highest_v", "drive_highest")
 INWARDS = dict.fromkeys(LOWEST, 1.0) | dict.fromkeys(HIGHEST, -1.0)

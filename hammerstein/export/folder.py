@@ -14,13 +14,11 @@ from pydantic import ValidationError, model_validator
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, ToleranceError
-from hammerstein.export.code import CCode, rendered
+from hammerstein.export.code import CCode, MeasuredCode, rendered
 from hammerstein.export.compiling import compiler
 from hammerstein.export.fmu import fmu_context, fmu_of, unit_files
-from hammerstein.export.golden import SAMPLES, entering
-from hammerstein.export.measured_code import MeasuredCode
+from hammerstein.export.golden import SAMPLES, entering, worst_case_step
 from hammerstein.export.request import Request
-from hammerstein.export.worst_case_step import worst_case_step
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.storage.manifest import Owner

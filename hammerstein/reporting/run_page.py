@@ -15,7 +15,7 @@ from hammerstein.experiment.selection import identified_at, percent
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
-from hammerstein.reporting.figures.smooth_path import is_sparse
+from hammerstein.reporting.figures.path import is_sparse
 from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.reporting.summary import sentences
 from hammerstein.reporting.tables import number_tables

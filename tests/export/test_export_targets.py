@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from export_cases import case
 
+from hammerstein.export.code import MeasuredCode
 from hammerstein.export.folder import files_of
-from hammerstein.export.measured_code import MeasuredCode
 
 pytestmark = pytest.mark.full
 

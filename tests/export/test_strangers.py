@@ -23,9 +23,8 @@ import hammerstein
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError, Notice
 from hammerstein.escaping import C, Markdown, cell, clean, markdown, templates_of
-from hammerstein.export.code import CCode
+from hammerstein.export.code import CCode, MeasuredCode
 from hammerstein.export.folder import files_of
-from hammerstein.export.measured_code import MeasuredCode
 from hammerstein.export.request import Request
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record

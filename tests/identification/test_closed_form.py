@@ -7,9 +7,10 @@ import pytest
 import theory
 
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.static.closed_form import closed_form, rising_branch
-from hammerstein.identification.static.partition import (
+from hammerstein.identification.static.closed_form import (
+    closed_form,
     nodes_uniform_in_time,
+    rising_branch,
     thresholds_uniform_in_time,
     thresholds_uniform_in_voltage,
 )

@@ -14,8 +14,7 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear import weighted_lines
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
 from hammerstein.identification.linear.refinement import _normal_equations, _Place, refine, split
-from hammerstein.identification.linear.state_space import fit_state_space
-from hammerstein.identification.linear.subspace import stable, subspace
+from hammerstein.identification.linear.state_space import fit_state_space, stable, subspace
 from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, weigh
 
 Array = NDArray[np.float64]

@@ -20,8 +20,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting.check_page import check_page
 from hammerstein.reporting.figures.moved import courses_of
-from hammerstein.reporting.html.markup import html_of, link_to
-from hammerstein.reporting.html.vector import inlined
+from hammerstein.reporting.html.markup import html_of, inlined, link_to
 from hammerstein.scenario.scenario import Tolerance
 
 EVIL = "</script><script>window.hit=1</script><img src=x onerror=window.hit=2>$$x$$ &lt; =1+1"

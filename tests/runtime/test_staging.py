@@ -11,7 +11,7 @@ import warnings
 import pytest
 
 from hammerstein.errors import InputError
-from hammerstein.runtime.storage import lock as folder_lock
+from hammerstein.runtime.storage import staging
 from hammerstein.runtime.storage.manifest import MANIFEST, Owner
 from hammerstein.runtime.storage.staging import ROOM, prepare, staged
 
@@ -143,7 +143,7 @@ def test_two_writers_take_turns(tmp_path):
 
 
 def test_a_writer_that_hangs_is_told_and_one_that_died_is_not_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(folder_lock, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(staging, "PATIENCE_S", 0.3)
     folder = tmp_path / "r"
     code = """
 import sys, time

@@ -23,8 +23,8 @@ from hammerstein.identification.linear.axis_steps import (
 )
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
 from hammerstein.identification.linear.delay import best_delay
+from hammerstein.identification.static.closed_form import thresholds_uniform_in_voltage
 from hammerstein.identification.static.history import liveliest
-from hammerstein.identification.static.partition import thresholds_uniform_in_voltage
 from hammerstein.identification.static.regressors import Start
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.records.record import Record
