@@ -35,7 +35,7 @@ def compare(
     from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.files import refuse_unwritable
-    from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, write_comparison
+    from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
     from hammerstein.runtime.storage.staging import prepare
 
     settings = identified.settings()
@@ -58,7 +58,9 @@ def compare(
         tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)
         return
     _show_comparison(found)
-    tell(f"comparison in {out}; open {out / 'compare.html'}")
+    tell(f"comparison and model files in {out}; open {out / 'compare.html'}")
+    if command := next_command(found, out):
+        tell(f"Next: {command}")
 
 
 def _show_comparison(found: Comparison) -> None:

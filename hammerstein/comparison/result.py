@@ -94,6 +94,11 @@ class Compared:
     model: HammersteinModel
 
     @property
+    def file(self) -> str:
+        """Name of its model file beside the page of the comparison."""
+        return f"{self.name.replace(' ', '_')}.json"
+
+    @property
     def judged(self) -> Score:
         """Error that counts: on validation records, if there are any."""
         return self.held or self.fitted

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection
 from pathlib import Path
 
@@ -40,9 +41,9 @@ def compare_page(found: Comparison, figures: Collection[str] = ()) -> Page:
 
 
 def write_comparison(
-    found: Comparison, folder: Path, figures: bool = True, overwrite: bool = False
+    found: Comparison, folder: Path, figures: bool = True, overwrite: bool = False, models: bool = True
 ) -> tuple[Path, ...]:
-    """Write both pages, ``compare.json`` and the figure: all of them, or none.
+    """Write both pages, ``compare.json``, the figure and the file of every model: all of them, or none.
 
     Gives the places of files of an earlier comparison that a person had changed and that were kept.
 
@@ -56,6 +57,8 @@ def write_comparison(
 
             drawn = dict(files_of({"compare": compared_figure(found)}))
         compare_page(found, drawn).write(stage, "compare", drawn)
+        for entry in found.entries if models else ():
+            stage.write(entry.file, entry.model.to_json())
     return stage.kept
 
 
@@ -99,3 +102,11 @@ def cells(entry: Compared) -> list[str]:
         "yes" if entry.has_inverse else "no",
         "none" if entry.left.percent is None else f"{entry.left.percent:.3g}",
     ]
+
+
+def next_command(found: Comparison, folder: Path) -> str:
+    """Command that compensates with the recommended model; empty where nothing inverts it."""
+    chosen = found[found.recommended]
+    law = chosen.left.law
+    words = ("compensate", str(folder / chosen.file), "path.csv", "--law", law, "--out", "drive.csv")
+    return f"hammerstein {shlex.join(words)}" if law else ""

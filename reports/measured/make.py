@@ -175,7 +175,7 @@ def comparisons(folder: Path) -> Iterator[str]:
     stage = folder / "dbo_piezo_micromanipulator"
     records, held = (stage_records(stage / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
     found = compare(records, Settings(), validation=held)
-    write_comparison(found, HERE / "compared" / "micromanipulator", overwrite=True)
+    write_comparison(found, HERE / "compared" / "micromanipulator", overwrite=True, models=False)
     yield compared("[micromanipulator](micromanipulator/compare.md)", found)
     for level in MIRROR_MV:
         mirror = folder / "cubespec_fsm"

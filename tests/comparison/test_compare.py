@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,9 @@ from hammerstein.errors import IdentificationError
 from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.settings import Settings
+from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-from hammerstein.reporting.compare_page import compare_page
+from hammerstein.reporting.compare_page import compare_page, next_command, write_comparison
 
 T = 2e-3
 R = np.array([0.0, 3.0, 8.0, 20.0, 35.0])
@@ -137,6 +139,31 @@ def test_processes_side_by_side_change_no_number(found: hammerstein.Comparison) 
     again = hammerstein.compare(records, PLAIN, validation=held, jobs=2)
     assert again.to_json() == found.to_json()
     assert compare_page(again).markdown() == compare_page(found).markdown()
+
+
+def test_every_model_has_its_file_and_the_next_command_drives_the_recommended_one(
+    found: hammerstein.Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model of the file predicts the actuator, by theory, within its noise; its drive follows a path."""
+    monkeypatch.chdir(tmp_path)
+    write_comparison(found, Path("all"), figures=False)
+    named = {entry.name: f"{entry.name.replace(' ', '_')}.json" for entry in found.entries}
+    kinds = {name: HammersteinModel.load(Path("all", file)) for name, file in named.items()}
+    record = record_of(10.0, 4)
+    predicted = kinds["asymmetric"].simulate(record.u_v, T).position_um
+    left = (predicted - record.y_um)[0, 500:]
+    assert left.std() == pytest.approx(NOISE_UM, rel=0.1)
+    t = T * np.arange(1000)
+    path = np.column_stack([t, 40.0 * np.sin(0.25 * np.pi * t) ** 2 + 8.0 * np.sin(0.5 * np.pi * t) ** 2])
+    np.savetxt("path.csv", path, delimiter=",", header="t_s,x_um", comments="")
+    program, *words = shlex.split(next_command(found, Path("all")))
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert (program, ended.value.code) == ("hammerstein", 0)
+    sent = np.genfromtxt("drive.csv", delimiter=",", names=True)["drive_u_v"]
+    reached = theory.asymmetric([sent], [[R]], [[W]], [[Q]], [[B]], [10.0])[0]
+    error = reached[-500:] - path[-500:, 1]
+    assert (error - error.mean()).std() < NOISE_UM
 
 
 def test_without_held_records_it_says_that_nothing_was_tested() -> None:
