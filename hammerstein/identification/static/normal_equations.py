@@ -231,11 +231,11 @@ def solve(
         x, free = _bounded(root, target, bounds)
         found = bounds.basis @ x
         spread = bounds.basis[:, free] @ _inverse_root(root[:, free])
-    rest = squares_left(gram, cross, power, found)
+    noise = _difference(gram, cross, power, found) / max(freedom - int(free.sum()), 1)
     return Solution(
         coefficients=found,
-        spread=np.sqrt(rest / max(freedom - int(free.sum()), 1)) * spread,
-        residual_rms=float(np.sqrt(rest / max(freedom, 1))),
+        spread=np.sqrt(noise) * spread,
+        residual_rms=float(np.sqrt(squares_left(gram, cross, power, found) / max(freedom, 1))),
         at_bound=~free,
         dependent=np.any(np.abs(scaled.lost) > OPEN, axis=1),
         ways=np.eye(len(gram)) if bounds is None else bounds.basis[:, free],
@@ -266,7 +266,17 @@ def are_within(bounds: Bounds, coefficients: Array) -> bool:
 
 
 def squares_left(gram: Array, cross: Array, power: float, found: Array) -> float:
-    """Sum of the squared errors of one output with given coefficients."""
+    """Sum of the squared errors of one output with given coefficients; at least its own rounding error.
+
+    Large coefficients of columns that nearly cancel would otherwise pass for a perfect fit.
+    """
+    size = np.abs(found)
+    terms = power + 2.0 * np.abs(cross) @ size + size @ np.abs(gram) @ size
+    return max(_difference(gram, cross, power, found), np.finfo(float).eps * float(terms))
+
+
+def _difference(gram: Array, cross: Array, power: float, found: Array) -> float:
+    """Sum of the squared errors as the moments give it, zero where rounding makes it negative."""
     return max(float(power - 2.0 * cross @ found + found @ gram @ found), 0.0)
 
 
