@@ -26,6 +26,7 @@ from hammerstein.dynamics import Axis
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Hysteresis, WeightCovariance
 from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slopes
+from hammerstein.hysteresis.kind import slopes_of
 from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.behind import Behind
 from hammerstein.identification.linear.axis_search import thinning
@@ -61,6 +62,9 @@ STEP = 1e-3
 """Change of a free number for its derivative: plays bend where they engage, so that it is not too small."""
 AT_LIMIT = 1e-6
 """Distance from its limit under which a free number stands at it."""
+HELD = 1.5 * LEAST_SLOPE
+"""Slope, in parts of the mean one, under which a bound holds it: the bound was set by the mean slope of free
+weights, which is another one. Weights that only keep their sign hold no slope."""
 
 
 class BlockFit(NamedTuple):
@@ -268,7 +272,12 @@ class _Search:
         numbers, s = here.numbers, len(here.block.free)
         stands = (numbers <= lower + AT_LIMIT) | (numbers >= upper - AT_LIMIT)
         gains = mean_slopes(hysteresis, self.driven)
-        held = [pair for pair in direct_pairs(gains) if here.solutions[pair[0]].at_bound.any()]
+        held = [
+            (o, k)
+            for o, k in direct_pairs(gains)
+            if here.solutions[o].at_bound.any()
+            and self._least_slope(hysteresis, o, k) < HELD * abs(gains[o, k])
+        ]
         return BlockFit(
             hysteresis,
             Behind(_axes_of(here, self.found), self.found.delay_samples),
@@ -276,6 +285,10 @@ class _Search:
             tuple(held),
             tuple(np.flatnonzero(stands[:s]).tolist()),
         )
+
+    def _least_slope(self, hysteresis: Hysteresis[Any], o: int, k: int) -> float:
+        """Slope of a pair nearest to 0 [um/V]."""
+        return float(np.abs(slopes_of(hysteresis, k, float(self.driven.half_swing_v[k]))[:, o]).min())
 
     def _axis_task(self, o: int, kept: tuple[Regressors, ...]) -> AxisTask:
         task = self.task
