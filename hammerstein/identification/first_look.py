@@ -37,6 +37,7 @@ from hammerstein.identification.static.history import (
     judged_starts,
     shortened,
     stepped_from,
+    whole_error,
 )
 from hammerstein.identification.static.normal_equations import Moments, pooled
 from hammerstein.identification.static.regressors import Start
@@ -133,15 +134,17 @@ def first_task(
     tell("estimating the initial states")
     begun = _first_starts(records, settings)
     guesses = guesses_of(records, begun, settings, tell)
-    last = guesses[-1] if guesses else None
-    starts = _first_starts(records, settings, last) if last else begun
-    if starts != begun:
+    guess = guesses[-1] if guesses else None
+    starts = _first_starts(records, settings, guess) if guess else begun
+    if guess and _left_by(records, None, settings, begun) < _left_by(records, guess, settings, starts):
+        guess, starts = None, begun  # axes that only do harm would decide on starts and thresholds
+    elif starts != begun:
         guesses = guesses_of(records, starts, settings, tell)
-        last = guesses[-1]
-    first = _FirstModels(records, last, settings).fitted(starts)
+        guess = guesses[-1]
+    first = _FirstModels(records, guess, settings).fitted(starts)
     starts = judged_starts(records, first.predict, settle_s_of(guesses), start_mode(settings))
-    if last:
-        starts = creeping_starts(records, starts, last, settings, tell)
+    if guess:
+        starts = creeping_starts(records, starts, guess, settings, tell)
     static = _static_delay(records, starts, settings, tell)
     delay = guesses[-1].delay_samples if guesses else static
     task = Task(records, starts, (), delay, settings, tell, static)
@@ -153,13 +156,20 @@ def first_task(
     wanted = settings.error_curve or (settings.operators == "auto" and settings.thresholds_v is None)
     if wanted and settings.uses_axes:
         tell("trying numbers of operators")
-        paths = task.paths(guesses[-1].dynamics() if guesses else first.dynamics)
+        paths = task.paths(guess.dynamics() if guess else first.dynamics)
         place, whole = settings.begun_with, task.whole_delay
         curve = error_curve(records, starts, partition=place, delay_samples=whole, through=paths)
     chosen = enough_operators(curve) if curve else DEFAULT_OPERATORS
     if settings.fits_thresholds and settings.operators == "auto":
         chosen = min(chosen, MOST_FITTED)
     return replace(task, thresholds_v=settings.thresholds(records, chosen)), guesses, curve
+
+
+def _left_by(
+    records: tuple[Record, ...], guess: FirstGuess | None, settings: Settings, starts: tuple[Start, ...]
+) -> float:
+    """Mean squared error that a quick model leaves of whole records, in parts of their ranges."""
+    return whole_error(records, starts, _FirstModels(records, guess, settings).fitted(starts).predict)
 
 
 def creeping_starts(

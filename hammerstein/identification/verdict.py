@@ -243,7 +243,12 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
     """What the excitation does not tell about each axis."""
     found = []
     for name, fit in zip(outputs, axes, strict=True):
-        if fit.harmonic and fit.axis.resonance_hz is not None:
+        if fit.one_rate and fit.axis.lag_s is not None:
+            found.append(
+                f"lag of {name}: at the only rate in the records, hysteresis looks like a lag; "
+                "record another rate"
+            )
+        elif fit.one_rate and fit.axis.resonance_hz is not None:
             found.append(
                 f"resonance and damping of {name}: {fit.axis.resonance_hz:.4g} Hz is among the first "
                 "harmonics of the only rate in the records, which hysteresis makes, too; record another rate"
@@ -305,10 +310,10 @@ def axis_identified(fit: AxisFit) -> bool:
     """Whether the records tell the dynamics of an axis.
 
     A resonance outside the band that was excited must lower the error as much as any block that improves the
-    model: it only bends what lies below it, and what drifts or creeps bends alike. One among the first
-    harmonics of the only rate may be hysteresis.
+    model: it only bends what lies below it, and what drifts or creeps bends alike. At a single rate, a lag
+    and a resonance among the first harmonics may be hysteresis.
     """
-    if fit.harmonic or not _lowers_the_error(fit):
+    if fit.one_rate or not _lowers_the_error(fit):
         return False
     known = fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
     return known and (fit.lag_error_percent is None or fit.lag_error_percent <= UNSURE_LAG_PERCENT)

@@ -45,8 +45,8 @@ class AxisFit:
     static_rms_um : the same without dynamics [um]
     lag_error_percent : standard error of the time constant, in percent of it; None without a lag
     excited : whether the resonance shows in the records: the model has more power near it than it leaves
-    harmonic : whether the resonance lies among the first harmonics of the only rate in the records:
-        hysteresis makes them, too, and nothing else tells which part is its own
+    one_rate : whether hysteresis does the same at the only rate in the records: a lag widens the loops, and
+        the resonance lies among the first harmonics
     unsure : the same with slow modes that were left out, as the records do not tell their size
     """
 
@@ -58,7 +58,7 @@ class AxisFit:
     static_rms_um: float
     lag_error_percent: float | None = None
     excited: bool = True
-    harmonic: bool = False
+    one_rate: bool = False
     unsure: AxisFit | None = None
 
     def with_errors(self, errors: Array) -> AxisFit:
@@ -94,7 +94,7 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
         rms_um=point.rms,
         static_rms_um=static,
         excited=not shape.resonance or _excited(task, point),
-        harmonic=shape.resonance and _among_harmonics(task, point),
+        one_rate=_at_one_rate(task) and (shape.lag or (shape.resonance and _among_harmonics(task, point))),
     )
     return found.with_errors(standard_errors(task, point))
 
@@ -146,19 +146,22 @@ def _excited(task: AxisTask, point: Point) -> bool:
     return said > EXCITED**2 * left
 
 
-def _among_harmonics(task: AxisTask, point: Point) -> bool:
-    """Whether all records are driven at one rate, of which fewer than two multiples are near the resonance.
+def _at_one_rate(task: AxisTask) -> bool:
+    """Whether all records are driven at one rate, and long enough for a spectrum of lines.
 
-    One line of a spectrum is two numbers, as many as a resonance has: it explains any harmonic there. A
-    record of few cycles has no lines: it rings from its start.
+    A record of few cycles rings from its start.
     """
-    rates_hz = [drive_hz(record) for record in task.records]
-    times_s = [record.samples * record.sample_time_s for record in task.records]
-    cycles = [rate * time for rate, time in zip(rates_hz, times_s, strict=True)]
-    if several_rates(task.records) or max(cycles) < SETTLED_CYCLES:
-        return False
+    cycles = [drive_hz(record) * record.samples * record.sample_time_s for record in task.records]
+    return not several_rates(task.records) and max(cycles) >= SETTLED_CYCLES
+
+
+def _among_harmonics(task: AxisTask, point: Point) -> bool:
+    """Whether fewer than two multiples of the rate are near the resonance.
+
+    One line of a spectrum is two numbers, as many as a resonance has: it explains any harmonic there.
+    """
     width_hz = math.exp(point.x[0]) * (NEAR - 1.0 / NEAR)
-    return width_hz < 2.0 * min(rates_hz)
+    return width_hz < 2.0 * min(drive_hz(record) for record in task.records)
 
 
 def _first_creep(task: AxisTask) -> Array:

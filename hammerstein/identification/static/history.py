@@ -390,10 +390,10 @@ def _error_of(
         predict = fit(starts)
     except IdentificationError:
         return math.inf
-    return _whole_error(records, starts, predict)
+    return whole_error(records, starts, predict)
 
 
-def _whole_error(
+def whole_error(
     records: Sequence[Record], starts: Sequence[Start], predict: Callable[[Record, Start], Array]
 ) -> float:
     """Mean squared error of whole records in parts of their ranges, whatever the starts leave out."""

@@ -1,0 +1,1 @@
+"""Identification of actuators drawn at random, whose truth is known, from records of many shapes."""
