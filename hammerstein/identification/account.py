@@ -164,7 +164,8 @@ def _unknown(task: Task, built: Built, response: Array, known: ParameterCovarian
         )
         for o, k in built.best.blocks.chosen.open
     ]
-    axes = axis_statements(record.outputs, built.axes) if built.axes else []
+    own = _sure_axes(built.best, known) if built.best.axes else built.axes
+    axes = axis_statements(record.outputs, own) if own else []
     return [*axes, *sums, *_open_places(task, built, known), *excitation_statements(task.records, response)]
 
 

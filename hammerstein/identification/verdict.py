@@ -268,6 +268,9 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
             )
         elif fit.damping_error_percent is not None and fit.damping_error_percent > UNSURE_DAMPING_PERCENT:
             found.append(f"damping of {name}: standard error {fit.damping_error_percent:.0f} %")
+        if fit.lag_error_percent is not None and fit.lag_error_percent > UNSURE_LAG_PERCENT:
+            error_s = 0.01 * fit.lag_error_percent * (fit.axis.lag_s or 0.0)
+            found.append(f"lag of {name}: {fit.axis.lag_s:.3g} +- {error_s:.2g} s")
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
                 found.append(

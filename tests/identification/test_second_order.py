@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -213,6 +214,15 @@ def test_unsure_damping_and_creep_are_stated():
     assert said[1].startswith(
         "creep of x with a time constant of 300 s: gain 0.01 +- 0.02; use a record several times longer"
     )
+
+
+def test_a_lag_that_is_mostly_error_is_stated():
+    """A low-pass far above the sample rate, beside a resonance that is known."""
+    axis = Axis(resonance_hz=50.0, damping_ratio=0.1, lag_s=1e-5)
+    sure = AxisFit(axis, 0.1, 1.0, (), 0.1, 1.0, lag_error_percent=10.0)
+    assert axis_statements(("x",), [sure]) == []
+    said = axis_statements(("x",), [replace(sure, lag_error_percent=400.0)])
+    assert said[-1] == "lag of x: 1e-05 +- 4e-05 s"
 
 
 @pytest.mark.parametrize("sensor_hz", [None, 2000.0])
