@@ -33,36 +33,37 @@ from hammerstein.reporting.fit_page import write_fit
 HERE = Path(__file__).parent
 NOTES = """# Measured records
 
-What `hammerstein` makes of public records of real actuators and magnets, fitted with 15 play operators unless
-the table says otherwise. This page and the fit reports are written by
-`python reports/measured/make.py FOLDER`; the records themselves are not in this repository:
+Models that `hammerstein` identifies from public records of real actuators and magnets. The models have
+15 play operators unless the table says otherwise. `python reports/measured/make.py FOLDER` writes this
+page and the fit reports; the records themselves are not in this repository:
 
-* **micromanipulator**: piezo stage with a flexure, capacitive sensor, 200 Hz, 1 Hz sine. Aye,
-  github.com/yan9a/DiscreteBacklashOperator (MIT).
-* **mirror**: fine steering mirror, 3 x 3, 6400 Hz, random-phase multisines. Floren et al.,
+* **micromanipulator**: piezo stage with a flexure and a capacitive sensor, 1 Hz sine, sampled at 200 Hz.
+  Aye, github.com/yan9a/DiscreteBacklashOperator (MIT).
+* **mirror**: fine steering mirror, 3 x 3, random-phase multisines, sampled at 6400 Hz. Floren et al.,
   github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0).
-* **ferrite, steel, amorphous**: quasi-static magnetic loops, field in place of the voltage and flux density
-  in place of the displacement, so that only the percentages have a meaning. Szewczyk,
-  github.com/romanszewczyk/JAmodel (MIT).
+* **ferrite, steel, amorphous**: quasi-static magnetic loops. The magnetic field takes the place of the
+  voltage, and the flux density that of the displacement, so only the percentages have a meaning.
+  Szewczyk, github.com/romanszewczyk/JAmodel (MIT).
 
-Errors are rms values in percent of the range of the output; for the mirror also in percent of the rms of the
-output (mean of the three outputs). Validation: records that the fit has not seen. Wanted: what this project
-asks of itself; the tests check it where the records are at hand. What every kind of hysteresis and the linear
-models make of the same records stands on [a page of its own](compared/README.md).
+Errors are rms values in percent of the range of the output; for the mirror also in percent of the rms of
+the output (mean of the three outputs). The fit has not seen the validation records. *Wanted* is the goal
+of this project, which the tests check if the records are at hand. [Another page](compared/README.md)
+compares all kinds of hysteresis and the linear models on the same records.
 
 | record | model | fitted [%] | validation [%] | wanted [%] | what is said |
 | --- | --- | ---: | ---: | --- | --- |
 """
 COMPARED = """# Every kind on measured records
 
-What `hammerstein compare` says of the [same records](../README.md): for each kind of hysteresis the better
-one of its models, without a linear block or with one; rms errors in percent of the
-range, on the record held back where there is one. Kinds that could not be fitted have no number: one rate
-cannot tell how thresholds grow. The rule behind the recommendation stands on each page; single loops, with
-nothing held back, are judged by their fit. Nothing is given but the records, of the magnets that they have no
-dynamics, and of the mirror that it needs a state space of order 28: only plays are had in front of one, so
-that the other kinds stand there without it (*alone*). Written by
-`python reports/measured/make.py FOLDER comparisons`.
+Result of `hammerstein compare` on the [same records](../README.md). For each kind of hysteresis the
+table shows the better one of its models, with or without a linear block: its rms error in percent of the
+range, on the validation record if there is one, else on the fitted loop. The recommended kind has the
+lowest cross-validation error, or is simpler and as good, so it does not always have the lowest error in
+the table. A kind without a number could not be fitted: a single rate does not identify how thresholds
+grow, and static Bouc-Wen and envelope searches diverge on the mirror, whose motion is dynamic. `compare`
+is given the records alone, for the magnets also that they have no dynamics, and for the mirror also that
+it needs a state space of order 28. Only plays can stand in front of a state space; the mark *alone*
+means without one. `python reports/measured/make.py FOLDER comparisons` writes this page.
 
 | record | judged on | recommended | {kinds} |
 | --- | --- | --- | {dashes} |
@@ -201,7 +202,7 @@ def compared(name: str, found: Comparison) -> str:
     for kind in (LINEAR, *identifiable_kinds()):
         own = [entry.judged.mean_percent for entry in found.entries if entry.hysteresis == kind]
         errors.append(f"{min(own):.3f}{' alone' * (kind in alone)}" if own else "")
-    return row(name, "held back" if found.held else "fitted", found.recommended, *errors)
+    return row(name, "validation record" if found.held else "fitted loop", found.recommended, *errors)
 
 
 def link(model: HammersteinModel, fit: Fit, name: str) -> str:
