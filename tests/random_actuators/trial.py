@@ -71,7 +71,7 @@ def tried(seed, settings=None):
         _, fit = identify(records, settings or Settings(), validation=[validation])
     except HammersteinError as error:
         return Outcome(seed, what, shape, refused=str(error)[:300])
-    ready = from_last_rest([more])
+    ready = from_last_rest([more], accept_order=True)
     kept = fit.candidates[fit.kind]
     begun = judged_starts(ready, kept.predict, _settle_s(made), slow_s=kept.slow_s)
     errors = {  # of all candidates on the same samples, each with its own start
