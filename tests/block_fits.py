@@ -3,13 +3,13 @@
 import numpy as np
 
 from hammerstein.dynamics import StaticDynamics
-from hammerstein.identification.behind import Behind
-from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.columns import chosen_columns
 from hammerstein.identification.kinds import driven_of
+from hammerstein.identification.options import identifiable_kinds
+from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.task import Task
 
 
@@ -17,7 +17,7 @@ def task_of(kind, records, *, grids=None, starts=(), delay_samples=0, **options)
     """Task with thresholds (input,), and how its records drive the inputs."""
     given = {} if grids is None else {"thresholds_v": [list(grids) for _ in records[0].y_um]}
     settings = Settings(hysteresis=kind, delay_samples=delay_samples, error_curve=False, **given, **options)
-    begun = tuple(starts) or (Start("rest"),) * len(records)
+    begun = tuple(starts) or (InitialState("rest"),) * len(records)
     row = [np.zeros(1) for _ in records[0].u_v] if grids is None else grids
     thresholds_v = [list(row) for _ in records[0].y_um]
     task = Task(tuple(records), begun, thresholds_v, delay_samples, settings, lambda _: None)
@@ -42,7 +42,7 @@ def fit_kind(
     known = {"grids": grids, "starts": starts, "delay_samples": delay_samples, "solver": solver}
     task, driven = task_of(kind, records, **known)
     begins = [like] if like is not None else identifiable_kinds()[kind].first_guesses(driven)
-    found = Behind(tuple(axes), delay_samples)
+    found = OutputDynamics(tuple(axes), delay_samples)
     return fit_block(task, begins, driven, found, refined=refined, ridge=ridge)
 
 

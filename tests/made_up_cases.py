@@ -12,7 +12,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.recorded import counted
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import judged_starts
+from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.records.record import Record
 
 # Drives played on the true actuator -------------------------------------------------------------------------

@@ -13,13 +13,13 @@ from hammerstein.comparison.fitting import Fitted, Progress, fit_all
 from hammerstein.comparison.inverting import Inverse, inverse_of, left_by
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.dynamics import discretise
-from hammerstein.identification.choice import Trial, as_good, chosen, least, trial_of
-from hammerstein.identification.first_look import start_mode
 from hammerstein.identification.identify import from_last_rest
+from hammerstein.identification.initialisation import start_mode
+from hammerstein.identification.model_selection import Trial, as_good, chosen, least, trial_of
 from hammerstein.identification.score import Score, score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import own_starts
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.initial_state import own_starts
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.verdict import record_flags
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
@@ -69,7 +69,7 @@ def main_hz(record: Record) -> float:
     return float(lines[np.searchsorted(power, 0.5 * power[-1])])
 
 
-def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[Start]) -> dict[float, Score]:
+def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[InitialState]) -> dict[float, Score]:
     """Errors of a model on the records of each frequency, lowest first."""
     own = frequencies(records)
     pairs = list(zip(records, starts, strict=True))
@@ -80,7 +80,7 @@ def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[Start]) -
     return found
 
 
-def alike(starts: Sequence[Sequence[Start]]) -> list[list[Start]]:
+def alike(starts: Sequence[Sequence[InitialState]]) -> list[list[InitialState]]:
     """Starts (model) (record) of several models, from the samples on that count for every one of them."""
     first = [max(begun.first for begun in each) for each in zip(*starts, strict=True)]
     return [[replace(start, first=k) for start, k in zip(own, first, strict=True)] for own in starts]
@@ -170,8 +170,11 @@ def compare(
 
 
 def _own(
-    starts: Sequence[Sequence[Start]], fitted: Sequence[Fitted], records: Sequence[Record], settings: Settings
-) -> list[tuple[Start, ...]]:
+    starts: Sequence[Sequence[InitialState]],
+    fitted: Sequence[Fitted],
+    records: Sequence[Record],
+    settings: Settings,
+) -> list[tuple[InitialState, ...]]:
     """Start of each record that suits each model, on the samples that count for all of them."""
     return [
         own_starts(records, begun, one.candidate.predict, start_mode(settings), one.candidate.slow_s)

@@ -13,13 +13,13 @@ import numpy as np
 
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.errors import HammersteinError, IdentificationError
-from hammerstein.identification.choices import PLAYS, identifiable_kinds
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import identify
+from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.rates import several_rates
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.parallel_tasks import Jobs, in_order
@@ -59,8 +59,8 @@ class Fitted:
     hysteresis: str
     model: HammersteinModel
     candidate: Candidate
-    starts: tuple[Start, ...]
-    held_starts: tuple[Start, ...]
+    starts: tuple[InitialState, ...]
+    held_starts: tuple[InitialState, ...]
     flags: tuple[str, ...]
     seconds: float
 

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.comparison.fitting import Failed
-from hammerstein.identification.choice import CLOSE, FELT, NO_BETTER
 from hammerstein.identification.fit import finite
+from hammerstein.identification.model_selection import CLOSE, FELT, NO_BETTER
 from hammerstein.identification.score import Score
 from hammerstein.identification.static.folds import PARTS
 from hammerstein.model import HammersteinModel

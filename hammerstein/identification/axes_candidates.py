@@ -13,7 +13,6 @@ from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
 )
-from hammerstein.identification.choice import FELT
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_fit import AxesFit, AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import (
@@ -27,10 +26,11 @@ from hammerstein.identification.linear.axis_search import (
 from hammerstein.identification.linear.axis_steps import rms_behind
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import TINY
+from hammerstein.identification.model_selection import FELT
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
-from hammerstein.identification.static.history import shortened
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.initial_state import shortened
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
     StaticFit,
@@ -46,7 +46,14 @@ from hammerstein.identification.static_candidates import (
     static_blocks,
     without_dynamics,
 )
-from hammerstein.identification.task import Blocks, Built, Found, Progress, Task, thresholds_of
+from hammerstein.identification.task import (
+    CandidateSet,
+    FittedModel,
+    Progress,
+    Task,
+    WeightFits,
+    thresholds_of,
+)
 from hammerstein.identification.verdict import axis_identified, creep_identified
 from hammerstein.records.record import Record
 
@@ -64,7 +71,7 @@ FEWER = (0.75, 0.5)
 """Parts of the number of thresholds with which their fit is tried again."""
 
 
-def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
+def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     """All four kinds, without a delay unless one lowers the error of the finished model by two percent.
 
     Coarse thresholds look like a delay: so does an axis that is not yet what it comes to. A delay that was
@@ -82,13 +89,13 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> Built:
     return built if left < without + task.outputs * math.log(1.0 - FELT) else other
 
 
-def _log_rms_left(built: Built) -> float:
+def _log_rms_left(built: CandidateSet) -> float:
     """Logarithm of what the largest model leaves, the product of the outputs."""
     rms = built.best.blocks.chosen.rms_um
     return float(np.log(np.maximum(rms, TINY)).sum())
 
 
-def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> Built:
+def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     """All four kinds, with axes of the shapes guessed: of each output the simplest that does as well.
 
     The best is fitted with all records; the thresholds are fitted with it where that is asked for. Then a
@@ -122,20 +129,20 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> Built:
     linear = _axes(task, task.linear_thresholds(), _guess_of(guess, axes), thinning(task.records))
     alone = _as_found(linear.axes)
     gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
-    found: dict[Kind, Found] = {
+    found: dict[Kind, FittedModel] = {
         **static.found,
-        "linear_dynamics": Found(task.candidate(gains.chosen.hysteresis, alone), gains, linear.axes),
-        "hammerstein": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks, axes),
+        "linear_dynamics": FittedModel(task.candidate(gains.chosen.hysteresis, alone), gains, linear.axes),
+        "hammerstein": FittedModel(task.candidate(blocks.chosen.hysteresis, dynamics), blocks, axes),
     }
-    return Built(found, "hammerstein", axes, notes, (*others, *tried))
+    return CandidateSet(found, "hammerstein", axes, notes, (*others, *tried))
 
 
 def _first_axes(
     task: Task, guesses: Sequence[FirstGuess]
-) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], tuple[tuple[str, Found], ...]]:
+) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], tuple[tuple[str, FittedModel], ...]]:
     """Of the shapes guessed the best, fitted with all records, the task with its delay, and all as models."""
     guess = guesses[0]
-    others: tuple[tuple[str, Found], ...] = ()
+    others: tuple[tuple[str, FittedModel], ...] = ()
     if len(guesses) > 1:
         fits = [_axes(task, task.thresholds_v, guess, thinning(task.records)) for guess in guesses]
         guess, others = _best_shapes(guesses, fits), _others(task, guesses, fits)
@@ -144,8 +151,8 @@ def _first_axes(
 
 
 def _behind_fitted(
-    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks, static: Blocks
-) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], Blocks]:
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: WeightFits, static: WeightFits
+) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], WeightFits]:
     """Axes behind the thresholds that were fitted without any, if those leave less than the ones begun with.
 
     What coarse thresholds miss of the hysteresis would pass for a delay, dynamics or creep otherwise, or hide
@@ -164,7 +171,7 @@ def _behind_fitted(
 
 def guesses_of(
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     settings: Settings,
     tell: Progress,
     grids: Sequence[Array] | None = None,
@@ -237,7 +244,7 @@ def _best_shapes(guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]) -> Firs
 
 def _others(
     task: Task, guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]
-) -> tuple[tuple[str, Found], ...]:
+) -> tuple[tuple[str, FittedModel], ...]:
     """The shapes that were tried with the thresholds begun with, as models."""
     found = []
     for guess, fit in zip(guesses, fits, strict=True):
@@ -245,13 +252,13 @@ def _others(
         blocks = static_blocks(late, task.thresholds_v, _as_found(fit.axes), task.settings.solver)
         name = f"plays for the start, {guess.shapes[0].name}"
         model = late.candidate(blocks.chosen.hysteresis, _as_found(fit.axes))
-        found.append((name, Found(model, blocks, fit.axes)))
+        found.append((name, FittedModel(model, blocks, fit.axes)))
     return tuple(found)
 
 
 def _with_lag_and_creep(
-    task: Task, axes: tuple[AxisFit, ...], blocks: Blocks
-) -> tuple[tuple[AxisFit, ...], Blocks, list[tuple[str, Found]]]:
+    task: Task, axes: tuple[AxisFit, ...], blocks: WeightFits
+) -> tuple[tuple[AxisFit, ...], WeightFits, list[tuple[str, FittedModel]]]:
     """Axes with a low-pass beside the resonance, then a creep mode, each where it lowers the error.
 
     All outputs take the step together, and the static block, which is fitted anew, judges it: thresholds of
@@ -259,7 +266,7 @@ def _with_lag_and_creep(
     ``behind``.
     """
     settings = task.settings
-    tried: list[tuple[str, Found]] = []
+    tried: list[tuple[str, FittedModel]] = []
     grids = SlopeColumns.of(thresholds_of(blocks)).grids
     steps: list[str] = (["lag"] if settings.dynamics == "auto" else []) + (
         ["creep"] if settings.creep_modes == "auto" else []
@@ -272,18 +279,20 @@ def _with_lag_and_creep(
             continue
         trial = static_blocks(task, thresholds_of(blocks), dynamics_of(found), settings.solver)
         trial = replace(trial, fitted=blocks.fitted)
-        with_it = Found(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
+        with_it = FittedModel(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
         name = {"lag": "a low-pass", "creep": "a creep mode"}[step]
         if np.any(trial.chosen.rms_um <= (1.0 - FELT) * blocks.chosen.rms_um):
             without = task.candidate(blocks.chosen.hysteresis, dynamics_of(axes))
-            tried.append((f"without {name}", Found(without, blocks, axes)))
+            tried.append((f"without {name}", FittedModel(without, blocks, axes)))
             axes, blocks = found, trial
         else:
             tried.append((f"with {name}", with_it))
     return axes, blocks, tried
 
 
-def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: AxisFit, step: str) -> AxisFit:
+def _with(
+    task: Task, grids: tuple[Array, ...], blocks: WeightFits, o: int, old: AxisFit, step: str
+) -> AxisFit:
     """One axis with a low-pass or a creep mode more; as it was if a quick search gains nothing."""
     shape, x = axis_parameters(old.axis)
     if not axis_identified(old):
@@ -306,8 +315,8 @@ def _with(task: Task, grids: tuple[Array, ...], blocks: Blocks, o: int, old: Axi
 
 
 def _with_fewer_if_needed(
-    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], begun: Blocks
-) -> tuple[tuple[AxisFit, ...], Blocks]:
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], begun: WeightFits
+) -> tuple[tuple[AxisFit, ...], WeightFits]:
     """Thresholds and axes fitted, with fewer thresholds than begun with where so many lead to no inverse."""
     found = _thresholds_and_axes(task, guess, axes, begun)
     settings, number = task.settings, max(map(len, task.thresholds_v[0]))
@@ -324,11 +333,11 @@ def _with_fewer_if_needed(
 
 
 def _thresholds_and_axes(
-    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: Blocks
-) -> tuple[tuple[AxisFit, ...], Blocks]:
+    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: WeightFits
+) -> tuple[tuple[AxisFit, ...], WeightFits]:
     """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained."""
     free, every = 1 + task.outputs, thinning(task.records)
-    best: tuple[tuple[AxisFit, ...], Blocks] | None = None
+    best: tuple[tuple[AxisFit, ...], WeightFits] | None = None
     near, thresholds_v, idle = axes, thresholds_of(blocks), 0
     need = 1.0 if every == 1 else WORTHWHILE * 2.0 * task.outputs * blocks.chosen.samples
     for _ in range(MOST_TURNS):

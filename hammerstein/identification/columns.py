@@ -14,11 +14,11 @@ from hammerstein.arrays import Array, Flags
 from hammerstein.dynamics import Dynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
-from hammerstein.identification.choice import moments_of_output
+from hammerstein.identification.model_selection import moments_of_output
 from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.folds import left_out
-from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, ridge_penalty
 from hammerstein.identification.task import Task
 

@@ -10,7 +10,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.score import Candidate
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.record import Record
@@ -26,7 +26,7 @@ ROUGH = 1.3
 """Standard deviation of a signal, in parts of the rms noise found in it, up to which it is noise alone."""
 
 
-def responses(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+def responses(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Array:
     """Largest rms response of an output to each input alone (input,), in parts of what the model leaves.
 
     Parameters

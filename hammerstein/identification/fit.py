@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from hammerstein.blocks.voltages import Voltages
-from hammerstein.identification.choice import Trial
 from hammerstein.identification.linear.axis_fit import AxisFit
+from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.score import Candidate, Score
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.records.record import Record
@@ -97,8 +97,8 @@ class Fit(NotebookRepr):
     sensor_bandwidth_hz: float | None
     sensor_delay_s: float
     offsets_um: tuple[tuple[float, ...], ...]
-    starts: tuple[Start, ...]
-    held_starts: tuple[Start, ...]
+    starts: tuple[InitialState, ...]
+    held_starts: tuple[InitialState, ...]
     axes: tuple[AxisFit, ...]
     trials: tuple[Trial, ...]
     order: int | None

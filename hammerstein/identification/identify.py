@@ -11,26 +11,26 @@ import numpy as np
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification.account import Errors, account, model_of
 from hammerstein.identification.axes_candidates import build_axes
-from hammerstein.identification.choice import Trial, chosen, trial_of
-from hammerstein.identification.choices import PLAYS, identifiable_kinds
 from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
-from hammerstein.identification.first_look import first_task, settle_s_of, start_mode
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
+from hammerstein.identification.fit_report import Errors, model_of
+from hammerstein.identification.initialisation import first_task, settle_s_of, start_mode
 from hammerstein.identification.kinds import with_hysteresis
-from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import FirstGuess
+from hammerstein.identification.model_selection import Trial, chosen, trial_of
+from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.parameter_covariance import parameter_covariance
 from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.score import Score, score
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import build_state_space
-from hammerstein.identification.static.history import judged_starts, own_starts
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.initial_state import judged_starts, own_starts
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.static_candidates import build_static
-from hammerstein.identification.task import Built, Found, Progress, Task
+from hammerstein.identification.task import CandidateSet, FittedModel, Progress, Task
 from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
 from hammerstein.records.excitation import FEWEST_AT_REST, dead_start
@@ -144,12 +144,12 @@ def identify(
     known = parameter_covariance(
         built.best.candidate, task.records, task.starts, plain and built.best.blocks.fitted
     )
-    fit = account(task, built, curve, errors, voltages_of(records, ready, task.starts), known)
+    fit = fit_of(task, built, curve, errors, voltages_of(records, ready, task.starts), known)
     return model_of(task, fit, built.best.candidate, name, instruments), fit
 
 
 def _scores(
-    built: Built, records: tuple[Record, ...], starts: tuple[Start, ...], settings: Settings
+    built: CandidateSet, records: tuple[Record, ...], starts: tuple[InitialState, ...], settings: Settings
 ) -> dict[Kind, Score]:
     """Errors of every kind of model on the same samples, each with the past that it explains best."""
     mode = start_mode(settings)
@@ -162,17 +162,17 @@ def _scores(
 
 
 def _starts_of_held(
-    held: tuple[Record, ...], built: Built, settle_s: float, settings: Settings
-) -> tuple[Start, ...]:
+    held: tuple[Record, ...], built: CandidateSet, settle_s: float, settings: Settings
+) -> tuple[InitialState, ...]:
     """How the records held back begin, by the best model, or by one that explains what it does not."""
     best = built.best.candidate
     simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not best]
     return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler, best.slow_s)
 
 
-def _kept(task: Task, built: Built) -> tuple[Built, tuple[Trial, ...]]:
+def _kept(task: Task, built: CandidateSet) -> tuple[CandidateSet, tuple[Trial, ...]]:
     """The model that is as good as the best with the fewest parameters, and all that were tried."""
-    named: list[tuple[str, Kind, Found]] = [
+    named: list[tuple[str, Kind, FittedModel]] = [
         *((KIND_NAMES[kind], kind, found) for kind, found in built.found.items()),
         *((name, "hammerstein", found) for name, found in built.others),
     ]
@@ -194,7 +194,7 @@ def _kept(task: Task, built: Built) -> tuple[Built, tuple[Trial, ...]]:
 
 
 def from_last_rest(
-    records: Sequence[Record], sensor: KnownSensor | None = None, *, accept_order: bool = False
+    records: Sequence[Record], sensor: SensorModel | None = None, *, accept_order: bool = False
 ) -> tuple[Record, ...]:
     """Records from where they last rested, with their voltages counted from there.
 
@@ -207,7 +207,7 @@ def from_last_rest(
     _refuse_twice(records)
     if not accept_order:
         refuse_swapped(records)
-    prompt = [(sensor or KnownSensor()).prompt(record) for record in records]
+    prompt = [(sensor or SensorModel()).prompt(record) for record in records]
     return tuple(counted(_without_dead_start(record)) for record in prompt)
 
 
@@ -243,7 +243,7 @@ def _are_one(record: Record, other: Record) -> bool:
     return times and all(map(np.array_equal, (record.u_v, record.y_um), (other.u_v, other.y_um)))
 
 
-def _build(task: Task, guesses: Sequence[FirstGuess]) -> Built:
+def _build(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     if guesses:
         return build_axes(task, guesses)
     return build_state_space(task) if task.settings.dynamics == "state_space" else build_static(task)

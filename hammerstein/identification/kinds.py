@@ -14,28 +14,38 @@ from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
-from hammerstein.identification.behind import Behind, search_behind, sure_behind
-from hammerstein.identification.choice import Trial, chosen, trial_of
-from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.columns import chosen_columns
-from hammerstein.identification.first_look import creeping_starts
 from hammerstein.identification.fit import Kind
+from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
+from hammerstein.identification.model_selection import Trial, chosen, trial_of
 from hammerstein.identification.operators import input_grids
+from hammerstein.identification.options import identifiable_kinds
+from hammerstein.identification.output_dynamics import (
+    OutputDynamics,
+    search_output_dynamics,
+    sure_output_dynamics,
+)
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
 from hammerstein.identification.score import Candidate, score
-from hammerstein.identification.static.history import FEWEST, closed, each_alone, judged_starts, unexplained
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.initial_state import (
+    FEWEST,
+    closed,
+    each_alone,
+    judged_starts,
+    unexplained,
+)
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
     Thresholds,
     half_swing,
 )
 from hammerstein.identification.static_candidates import begun_static
-from hammerstein.identification.task import Built, Found, Task
+from hammerstein.identification.task import CandidateSet, FittedModel, Task
 from hammerstein.identification.verdict import invertibility_of
 from hammerstein.records.record import Record
 
@@ -49,7 +59,7 @@ BEGINNING = 20_000
 
 
 @dataclass(frozen=True, eq=False)
-class Replacement:
+class FittedBlock:
     """A block of another kind, what is to be said of it, and the ridge of its weights.
 
     ``picked`` says that its columns were chosen of many; ``rough`` asks of those that are to be like it no
@@ -64,7 +74,7 @@ class Replacement:
     at_limit: bool = False
 
 
-def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
+def with_hysteresis(task: Task, built: CandidateSet) -> tuple[Task, CandidateSet]:
     """The models with one of the kind of hysteresis that was asked for; ``classical`` keeps plays.
 
     Lag, resonance and creep are found anew behind the block itself, for what plays miss of it would pass for
@@ -98,20 +108,22 @@ def with_hysteresis(task: Task, built: Built) -> tuple[Task, Built]:
     plays = {**built.found, "classical": alike}
     if name == built.kind == "static_hysteresis" and task.delay_samples != with_plays:
         plays = _better(task, plays, _plays_of(task))
-    models = {**plays, name: Found(found.candidate, before.blocks, axes)}
+    models = {**plays, name: FittedModel(found.candidate, before.blocks, axes)}
     notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
     return task, replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
 
 
-def _plays_before(task: Task, thresholds_v: Thresholds, behind: Behind, static: Found) -> Found:
+def _plays_before(
+    task: Task, thresholds_v: Thresholds, behind: OutputDynamics, static: FittedModel
+) -> FittedModel:
     """Plays before the axes that were found behind the other kind: what that kind is compared with."""
     task = replace(task, settings=task.settings.with_plays())
     plays = PrandtlIshlinskii.first_guesses(driven_of(task, thresholds_v))[0]
-    whole = _before(task, thresholds_v, behind, Replacement(plays, rough=True))
-    return Found(whole.candidate, static.blocks, behind.fits)
+    whole = _before(task, thresholds_v, behind, FittedBlock(plays, rough=True))
+    return FittedModel(whole.candidate, static.blocks, behind.fits)
 
 
-def _thresholds_of_plays(built: Built) -> Thresholds:
+def _thresholds_of_plays(built: CandidateSet) -> Thresholds:
     """Thresholds of the best model with plays, as another kind needs them.
 
     Where linear dynamics alone were kept, plays can still be what that kind is made of.
@@ -122,14 +134,14 @@ def _thresholds_of_plays(built: Built) -> Thresholds:
     return [[pair.thresholds_v for pair in row] for row in pairs]
 
 
-def _untold(task: Task, thresholds_v: Thresholds, found: Whole) -> str:
+def _untold(task: Task, thresholds_v: Thresholds, found: HammersteinFit) -> str:
     """What the records do not tell of a block: it is as good when its numbers beside plays do nothing."""
     block = found.block.hysteresis
     own = block.without_own() if isinstance(block, Identifiable) else None
     if own is None:
         return ""
     without, words = own
-    like = Replacement(cast("Hysteresis[Any]", without), rough=True)
+    like = FittedBlock(cast("Hysteresis[Any]", without), rough=True)
     plain = _before(task, thresholds_v, found.behind, like)
     with_own, alone = (replace(t, usable=True) for t in trials_of(task, [found, plain]))
     if chosen([replace(alone, parameters=0), with_own]):
@@ -140,33 +152,35 @@ def _untold(task: Task, thresholds_v: Thresholds, found: Whole) -> str:
     )
 
 
-def _plays_of(task: Task) -> dict[Kind, Found]:
+def _plays_of(task: Task) -> dict[Kind, FittedModel]:
     """Linear gain and plays, with the delay that a model without plays alone was kept with."""
     found = begun_static(task).found
     return {"linear": found["linear"], "classical": found["static_hysteresis"]}
 
 
-def _better(task: Task, found: dict[Kind, Found], others: dict[Kind, Found]) -> dict[Kind, Found]:
+def _better(
+    task: Task, found: dict[Kind, FittedModel], others: dict[Kind, FittedModel]
+) -> dict[Kind, FittedModel]:
     """Models of which those are replaced that another one of their kind leaves less of the records than."""
 
-    def left(one: Found) -> float:
+    def left(one: FittedModel) -> float:
         return score(one.candidate, task.records, task.starts).mean_percent
 
     return {kind: min([one, others.get(kind, one)], key=left) for kind, one in found.items()}
 
 
-def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Whole:
+def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> HammersteinFit:
     """Block without dynamics: with the delay known, or the shortest that is as good as any.
 
     What went before the records was judged with plays. It is judged anew with the block itself once the delay
     is known, for a delay looks like another beginning.
     """
     delays = range(MOST_DELAY + 1) if free else (task.delay_samples,)
-    found: list[Whole] = []
+    found: list[HammersteinFit] = []
     left: list[float] = []
     for turn, delay in enumerate(delays):
         like = _again(found[-1].block) if found else None
-        found.append(_before(task, thresholds_v, Behind((), delay), like))
+        found.append(_before(task, thresholds_v, OutputDynamics((), delay), like))
         left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
         if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
@@ -175,7 +189,7 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Whole:
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 
 
-def _first_as_good(task: Task, found: Sequence[Whole]) -> Whole:
+def _first_as_good(task: Task, found: Sequence[HammersteinFit]) -> HammersteinFit:
     """The first of several models that no other one is beyond doubt better than."""
     return found[chosen([replace(t, parameters=i) for i, t in enumerate(trials_of(task, found))])]
 
@@ -188,7 +202,7 @@ def _free_delay(task: Task) -> bool:
     return task.settings.delay_samples is None and one_time and not kind.passes_for_delay
 
 
-def trials_of(task: Task, tried: Sequence[Whole]) -> list[Trial]:
+def trials_of(task: Task, tried: Sequence[HammersteinFit]) -> list[Trial]:
     """What speaks for each model: its errors on folds of the fitted records.
 
     All are judged on the same samples: a beginning that one of them explains counts for all.
@@ -202,7 +216,9 @@ def trials_of(task: Task, tried: Sequence[Whole]) -> list[Trial]:
     return found
 
 
-def _judged_alike(task: Task, one: Whole, tried: Sequence[Whole]) -> tuple[Start, ...]:
+def _judged_alike(
+    task: Task, one: HammersteinFit, tried: Sequence[HammersteinFit]
+) -> tuple[InitialState, ...]:
     """Starts with which one of several models is judged; those that it was fitted with where they explain."""
     simpler = [other.candidate.predict for other in tried if other is not one]
     settle_s = max(other.settle_s for other in tried)
@@ -219,13 +235,13 @@ def _judged_alike(task: Task, one: Whole, tried: Sequence[Whole]) -> tuple[Start
     return tuple(again.get(i, start) for i, start in enumerate(one.starts))
 
 
-class Whole(NamedTuple):
+class HammersteinFit(NamedTuple):
     """A block with what stands behind it."""
 
     candidate: Candidate
-    behind: Behind
-    block: Replacement
-    starts: tuple[Start, ...]
+    behind: OutputDynamics
+    block: FittedBlock
+    starts: tuple[InitialState, ...]
 
     @property
     def name(self) -> str:
@@ -244,7 +260,7 @@ class Whole(NamedTuple):
         return float(np.log(1e3)) * max(times, default=0.0)
 
 
-def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whole:
+def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> HammersteinFit:
     """Block, axes and starts fitted in turn until nothing is gained.
 
     The block is fitted with its bounds and all that is not linear in it, the axes with its weights. Columns
@@ -254,11 +270,11 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
     alone : the block as it was found without axes
     """
     free, least = _free_delay(task), math.inf
-    found = Behind((), 0.0 if free else task.delay_samples)
+    found = OutputDynamics((), 0.0 if free else task.delay_samples)
     whole = _before(task, thresholds_v, found, alone)
     for turn in range(MOST_TURNS):
         late = free and turn == DELAY_TURN
-        found = search_behind(task, whole.block.hysteresis, found, late)
+        found = search_output_dynamics(task, whole.block.hysteresis, found, late)
         whole = _before(task, thresholds_v, found, _again(whole.block) if turn else None)
         found = whole.behind
         begun = _begun_anew(task, thresholds_v, whole, first=turn == 0)
@@ -268,16 +284,16 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: Replacement) -> Whol
         if error > (1.0 - WORTHWHILE) * least and not moved:
             break
         least = error
-    sure = sure_behind(task, whole.block.hysteresis, found)
+    sure = sure_output_dynamics(task, whole.block.hysteresis, found)
     return _before(task, thresholds_v, sure, replace(whole.block, rough=True))._replace(behind=sure)
 
 
-def _again(block: Replacement) -> Replacement | None:
+def _again(block: FittedBlock) -> FittedBlock | None:
     """Where the search for the block goes on; nowhere for one whose columns are chosen anew."""
     return None if block.picked else block
 
 
-def _begun_anew(task: Task, thresholds_v: Thresholds, whole: Whole, first: bool) -> Whole:
+def _begun_anew(task: Task, thresholds_v: Thresholds, whole: HammersteinFit, first: bool) -> HammersteinFit:
     """The same model, or the one fitted anew where the records began otherwise for it."""
     starts = _starts_behind(task, thresholds_v, whole, first)
     if starts == task.starts:
@@ -285,7 +301,9 @@ def _begun_anew(task: Task, thresholds_v: Thresholds, whole: Whole, first: bool)
     return _before(replace(task, starts=starts), thresholds_v, whole.behind, whole.block)
 
 
-def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole, first: bool) -> tuple[Start, ...]:
+def _starts_behind(
+    task: Task, thresholds_v: Thresholds, whole: HammersteinFit, first: bool
+) -> tuple[InitialState, ...]:
     """Starts that suit a model with axes.
 
     What a record did not tell before lag and creep were known is asked again: slow modes that are fitted as
@@ -309,28 +327,30 @@ def _starts_behind(task: Task, thresholds_v: Thresholds, whole: Whole, first: bo
     parts = tuple(record.part(0, min(record.samples, most)) for record in task.records)
     quick, rough = replace(task, records=parts), replace(whole.block, rough=True)
 
-    def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
+    def fit(starts: Sequence[InitialState]) -> Callable[[Record, InitialState], Array]:
         begun = replace(quick, starts=tuple(starts))
         return _before(begun, thresholds_v, whole.behind, rough).candidate.predict
 
     return each_alone(quick.records, starts, fit, unexplained(task.records, starts))
 
 
-def _before(task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None = None) -> Whole:
+def _before(
+    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None = None
+) -> HammersteinFit:
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
     block, found = _of_kind(late, thresholds_v, found, like)
     candidate = replace(late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit)
-    return Whole(candidate, found, block, task.starts)
+    return HammersteinFit(candidate, found, block, task.starts)
 
 
-def _dynamics(task: Task, found: Behind) -> AxesDynamics | StaticDynamics:
+def _dynamics(task: Task, found: OutputDynamics) -> AxesDynamics | StaticDynamics:
     return StaticDynamics(n_outputs=task.outputs) if found.is_static else found.dynamics
 
 
 def _of_kind(
-    task: Task, thresholds_v: Thresholds, found: Behind, like: Replacement | None
-) -> tuple[Replacement, Behind]:
+    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None
+) -> tuple[FittedBlock, OutputDynamics]:
     """A block of any kind by the one fit: behind it the axes are fitted along with its free numbers.
 
     Where the kind has columns to choose from, folds of the records do, and then only the weights are found.
@@ -359,7 +379,7 @@ def _of_kind(
             "determine them"
         )
     at_limit = bool(fit.at_limit)
-    return Replacement(fit.hysteresis, tuple(notes), ridge, picked, at_limit=at_limit), fit.behind
+    return FittedBlock(fit.hysteresis, tuple(notes), ridge, picked, at_limit=at_limit), fit.behind
 
 
 def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:

@@ -10,16 +10,16 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
-from hammerstein.identification.choices import Partition
+from hammerstein.identification.options import Partition
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.closed_form import (
     thresholds_uniform_in_time,
     thresholds_uniform_in_voltage,
 )
 from hammerstein.identification.static.folds import PARTS, left_out, moments_of_folds, refitted
-from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import coefficients, pooled
-from hammerstein.identification.static.regressors import Start, delayed, regressor_blocks
+from hammerstein.identification.static.regressors import InitialState, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import half_swing, path_filters
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.record import Record
@@ -91,7 +91,7 @@ class CurvePoint:
 
 def error_curve(
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     *,
     partition: Partition = "time",
     delay_samples: int = 0,

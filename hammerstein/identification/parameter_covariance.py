@@ -36,7 +36,7 @@ from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
 from hammerstein.identification.rates import fastest_rad_per_s
 from hammerstein.identification.score import Candidate
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
 from hammerstein.records.record import Record
 
@@ -55,7 +55,7 @@ UNTOLD = 0.9
 
 
 def parameter_covariance(
-    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], thresholds_fitted: bool
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState], thresholds_fitted: bool
 ) -> ParameterCovariance | None:
     """Joint covariance of the parameters of a model whose axes do not couple the outputs.
 
@@ -131,7 +131,7 @@ class _Told(NamedTuple):
     every: int
 
 
-def _told_by(candidate: Candidate, record: Record, start: Start, scale: Array, every: int) -> _Told:
+def _told_by(candidate: Candidate, record: Record, start: InitialState, scale: Array, every: int) -> _Told:
     """Derivatives by differences, each row about its mean; those of the weights are exact."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
 
@@ -274,7 +274,7 @@ def _of_places(
 def _size(
     candidate: Candidate,
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     told: Sequence[_Told],
     mean: _Mean,
     spread: Array,

@@ -28,12 +28,12 @@ from hammerstein.hysteresis import Hysteresis, WeightCovariance
 from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slopes
 from hammerstein.hysteresis.kind import slopes_of
 from hammerstein.hysteresis.pair import triangle
-from hammerstein.identification.behind import Behind
 from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, parameters_of
+from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import columns_of
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
-from hammerstein.identification.static.history import shortened
+from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     Moments,
@@ -75,7 +75,7 @@ class BlockFit(NamedTuple):
     """
 
     hysteresis: Hysteresis[Any]
-    behind: Behind
+    behind: OutputDynamics
     rms_um: Array
     held: tuple[tuple[int, int], ...]
     at_limit: tuple[int, ...] = ()
@@ -90,7 +90,7 @@ def fit_block(
     task: Task,
     begins: Sequence[Identifiable],
     driven: Driven,
-    found: Behind,
+    found: OutputDynamics,
     *,
     refined: bool = True,
     ridge: float = 0.0,
@@ -117,16 +117,16 @@ def fit_block(
         best = min(near, key=lambda place: place.cost)
         if not math.isfinite(best.cost):
             raise IdentificationError("no block of this kind follows the records")
-        begins, found = [best.block], Behind(_axes_of(best, found), found.delay_samples)
+        begins, found = [best.block], OutputDynamics(_axes_of(best, found), found.delay_samples)
     if refined:
         thinned = _Search(late, begins[0], driven, found, thinning(task.records) if found.axes else 1)
         here = thinned.arrived(thinned.begun(), ENOUGH)
-        begins, found = [here.block], Behind(_axes_of(here, found), found.delay_samples)
+        begins, found = [here.block], OutputDynamics(_axes_of(here, found), found.delay_samples)
     search = _Search(late, begins[0], driven, found, ridge=ridge)
     return search.result(search.begun())
 
 
-def _axes_of(place: _Place, found: Behind) -> tuple[Axis, ...]:
+def _axes_of(place: _Place, found: OutputDynamics) -> tuple[Axis, ...]:
     """Axes of a place, none where there are none."""
     each = zip(found.axes, place.x, strict=False)
     return tuple(axis_of(parameters_of(axis)[0], x) for axis, x in each)
@@ -156,7 +156,7 @@ class _Search:
     task: Task
     first: Identifiable
     driven: Driven
-    found: Behind
+    found: OutputDynamics
     every: int = 1
     ridge: float = 0.0
 
@@ -280,7 +280,7 @@ class _Search:
         ]
         return BlockFit(
             hysteresis,
-            Behind(_axes_of(here, self.found), self.found.delay_samples),
+            OutputDynamics(_axes_of(here, self.found), self.found.delay_samples),
             np.array([s.residual_rms for s in here.solutions]),
             tuple(held),
             tuple(np.flatnonzero(stands[:s]).tolist()),

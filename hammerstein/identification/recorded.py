@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from hammerstein.blocks.voltages import Voltages
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.excitation import FEWEST_AT_REST, dead_start, driven_inputs
 from hammerstein.records.record import Record
 
@@ -36,7 +36,9 @@ def counted(record: Record) -> Record:
     return replace(record, u_v=record.u_v - first[:, None], rest_v=record.rest_v + first, verified=True)
 
 
-def voltages_of(records: Sequence[Record], ready: Sequence[Record], starts: Sequence[Start]) -> Voltages:
+def voltages_of(
+    records: Sequence[Record], ready: Sequence[Record], starts: Sequence[InitialState]
+) -> Voltages:
     """Working point and range of every input over the records.
 
     The working point is where the first record began that drives the input and began at rest: with a dead

@@ -13,11 +13,11 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Dynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Identifiable
-from hammerstein.identification.known_sensor import KnownSensor
-from hammerstein.identification.static.regressors import Regressors, Start
+from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.static.regressors import InitialState, Regressors
 from hammerstein.records.record import Record
 
-_path = lru_cache(maxsize=16)(KnownSensor.path)
+_path = lru_cache(maxsize=16)(SensorModel.path)
 """Many starts are tried with one and the same model."""
 
 
@@ -30,7 +30,7 @@ class Candidate:
 
     hysteresis: Hysteresis[Any]
     dynamics: Dynamics
-    sensor: KnownSensor = field(default_factory=KnownSensor)
+    sensor: SensorModel = field(default_factory=SensorModel)
     at_limit: bool = False
 
     @property
@@ -39,7 +39,7 @@ class Candidate:
         axes = self.dynamics.axes if isinstance(self.dynamics, AxesDynamics) else ()
         return max((mode.time_constant_s for axis in axes for mode in axis.creep), default=0.0)
 
-    def predict(self, record: Record, start: Start) -> Array:
+    def predict(self, record: Record, start: InitialState) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
         block = _path(self.sensor, self.dynamics, record.sample_time_s)
         hysteresis = self.hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
@@ -58,27 +58,29 @@ class Candidate:
             y, _ = block.respond(v, state)
         return np.asarray(y[-len(record.y_um) :])
 
-    def residual(self, record: Record, start: Start) -> Array:
+    def residual(self, record: Record, start: InitialState) -> Array:
         """Reading less prediction (output, sample) over the samples that count, each about its mean [um]."""
         error = (record.y_um - self.predict(record, start))[:, start.first :]
         return np.asarray(error - error.mean(axis=1, keepdims=True))
 
 
-def begun(hysteresis: Hysteresis[Any], record: Record, start: Start) -> Any:
+def begun(hysteresis: Hysteresis[Any], record: Record, start: InitialState) -> Any:
     """Memory of a static block before a record."""
     if start.kind in ("rest", "repeated"):
         return hysteresis.rest()
     return hysteresis.after(path_before(record, start))
 
 
-def columns_of(block: Hysteresis[Any] | Identifiable, record: Record, start: Start, o: int) -> Regressors:
+def columns_of(
+    block: Hysteresis[Any] | Identifiable, record: Record, start: InitialState, o: int
+) -> Regressors:
     """Response of output o to each of its weights alone, over a record, and before it."""
     here = cast("Hysteresis[Any]", block).counted_from(record.rest_v).on_grid(record.sample_time_s)
     passes = 2 if start.kind == "repeated" else 1
     return Regressors(*cast(Identifiable, here).columns(record.u_v, path_before(record, start), o, passes))
 
 
-def path_before(record: Record, start: Start) -> Array:
+def path_before(record: Record, start: InitialState) -> Array:
     """Voltages (input, turn) that went before a record, from where it counts [V]: the last was held."""
     if start.kind in ("rest", "repeated"):
         return np.zeros((len(record.u_v), 1))
@@ -107,7 +109,7 @@ class Score:
         return float(np.mean(self.nrmse_percent))
 
 
-def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Score:
+def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Score:
     """Errors of a model on records, all together."""
     squares, power, samples = np.zeros(len(records[0].y_um)), np.zeros(len(records[0].y_um)), 0
     for record, start in zip(records, starts, strict=True):
@@ -121,7 +123,7 @@ def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[Star
     return Score(tuple(percent.tolist()), tuple(rms.tolist()), tuple(relative.tolist()))
 
 
-def ranges(records: Sequence[Record], starts: Sequence[Start]) -> Array:
+def ranges(records: Sequence[Record], starts: Sequence[InitialState]) -> Array:
     """Largest range of each output (output,) in one record, over the samples that count [um]."""
     spans = [np.ptp(r.y_um[:, s.first :], axis=1) for r, s in zip(records, starts, strict=True)]
     return np.asarray(np.maximum(np.max(spans, axis=0), np.finfo(float).tiny))

@@ -11,17 +11,17 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake
-from hammerstein.identification.choices import (
+from hammerstein.identification.operators import input_grids
+from hammerstein.identification.options import (
     MOST_DEAD_ZONES,
     PLAYS,
     DynamicsKind,
+    InitialStateMode,
     Partition,
     Solver,
-    StartMode,
     identifiable_kinds,
 )
-from hammerstein.identification.known_sensor import KnownSensor
-from hammerstein.identification.operators import input_grids
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.quantities import DELAY_S, DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
 from hammerstein.records.record import Record
 
@@ -35,7 +35,7 @@ CHOICES = {
     "partition": get_args(Partition),
     "solver": get_args(Solver),
     "dynamics": get_args(DynamicsKind),
-    "start": get_args(StartMode),
+    "start": get_args(InitialStateMode),
 }
 
 
@@ -86,7 +86,7 @@ class Settings:
     delay_samples: int | None = None
     sensor_bandwidth_hz: float | None = None
     sensor_delay_s: float = 0.0
-    start: StartMode = "auto"
+    start: InitialStateMode = "auto"
     hysteresis: str = PLAYS
     dead_zones: int | None = None
     accept_order: bool = False
@@ -208,9 +208,9 @@ class Settings:
         return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
 
     @property
-    def sensor(self) -> KnownSensor:
+    def sensor(self) -> SensorModel:
         """What is known of the sensor."""
-        return KnownSensor(self.sensor_bandwidth_hz, self.sensor_delay_s)
+        return SensorModel(self.sensor_bandwidth_hz, self.sensor_delay_s)
 
     @property
     def fits_thresholds(self) -> bool:

@@ -13,15 +13,15 @@ from hammerstein.dynamics import (
 )
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
-from hammerstein.identification.choice import FELT
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
+from hammerstein.identification.model_selection import FELT
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.static_block import (
     SquaresSolver,
 )
 from hammerstein.identification.static_candidates import build_static, without_dynamics
-from hammerstein.identification.task import Blocks, Built, Found, Task
+from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
 
 MOST_ROUNDS = 8
 """Most times that the two blocks are fitted in turn; each must gain a fiftieth."""
@@ -37,26 +37,26 @@ class StateSpaceTrial:
 
     order: int
     alone: Candidate
-    blocks: Blocks
+    blocks: WeightFits
     best: Candidate
     error: float
 
 
-def build_state_space(task: Task) -> Built:
+def build_state_space(task: Task) -> CandidateSet:
     """All four kinds, with a state-space model of the order asked for, or of the fewest states that do."""
     static = build_static(without_dynamics(task))
     trials = _orders_tried(task)
     least = min(trial.error for trial in trials)
     begun = next(trial for trial in trials if trial.error <= least / (1.0 - FELT))
     blocks, best = _in_turn(task, begun)
-    found: dict[Kind, Found] = {
+    found: dict[Kind, FittedModel] = {
         **static.found,
-        "linear_dynamics": Found(begun.alone, static.found["linear"].blocks),
-        "hammerstein": Found(best, blocks),
+        "linear_dynamics": FittedModel(begun.alone, static.found["linear"].blocks),
+        "hammerstein": FittedModel(best, blocks),
     }
     rest = [trial for trial in trials if trial is not begun]
-    others = tuple((f"state space of order {one.order}", Found(one.best, one.blocks)) for one in rest)
-    return Built(found, "hammerstein", others=others)
+    others = tuple((f"state space of order {one.order}", FittedModel(one.best, one.blocks)) for one in rest)
+    return CandidateSet(found, "hammerstein", others=others)
 
 
 def _orders_tried(task: Task) -> list[StateSpaceTrial]:
@@ -87,7 +87,7 @@ def _of_order(task: Task, order: int) -> StateSpaceTrial:
     return StateSpaceTrial(order, alone, blocks, best, _error(task, best))
 
 
-def _in_turn(task: Task, begun: StateSpaceTrial) -> tuple[Blocks, Candidate]:
+def _in_turn(task: Task, begun: StateSpaceTrial) -> tuple[WeightFits, Candidate]:
     """Linear dynamics and static block fitted in turn, as long as that lowers the error."""
     blocks, best, error, before = begun.blocks, begun.best, begun.error, _error(task, begun.alone)
     told = len(task.records[0].u_v) == task.outputs  # or the outputs of the static block move together
@@ -108,19 +108,19 @@ def _error(task: Task, candidate: Candidate) -> float:
     return score(candidate, task.records, task.starts).mean_percent
 
 
-def _hammerstein(task: Task, block: LinearBlock) -> tuple[Blocks, Candidate]:
+def _hammerstein(task: Task, block: LinearBlock) -> tuple[WeightFits, Candidate]:
     """Static block in front of a linear one."""
     blocks = _coupled(task, block)
     return blocks, task.candidate(blocks.chosen.hysteresis, _state_space(block))
 
 
-def _coupled(task: Task, block: LinearBlock) -> Blocks:
+def _coupled(task: Task, block: LinearBlock) -> WeightFits:
     solver = task.settings.solver
     weighting: SquaresSolver = "invertible" if solver == "closed_form" else solver
     found = fit_static_coupled(
         task.records, task.thresholds_v, block, task.starts, solver=weighting, ridge=task.settings.ridge
     )
-    return Blocks(found, found, None)
+    return WeightFits(found, found, None)
 
 
 def _gain_model(gain: Array) -> PrandtlIshlinskii:

@@ -13,8 +13,8 @@ from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.delay import best_delay
 from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
-from hammerstein.identification.static.history import closed, shortened
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.initial_state import closed, shortened
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.settled_loops import closed_form_model
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
@@ -28,7 +28,7 @@ from hammerstein.identification.static.static_block import (
     static_moments,
 )
 from hammerstein.identification.static.threshold_search import ThresholdTask
-from hammerstein.identification.task import Blocks, Built, Found, Task
+from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
 from hammerstein.identification.verdict import invertibility_of
 from hammerstein.records.record import Record
 
@@ -37,26 +37,28 @@ MOST_ROUNDS = 8
 KEPT = "fitted thresholds do not lower the error: they are uniform in time"
 
 
-def build_static(task: Task) -> Built:
+def build_static(task: Task) -> CandidateSet:
     """Linear gain and static hysteresis, the latter with fitted thresholds if they are asked for and gain."""
     return finished_static(task, begun_static(task))
 
 
-def begun_static(task: Task) -> Built:
+def begun_static(task: Task) -> CandidateSet:
     """Linear gain and static hysteresis with the thresholds of the task."""
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the static block")
-    without_past = replace(task, starts=(Start("rest"),) * len(task.records))  # all samples tell a gain
+    without_past = replace(
+        task, starts=(InitialState("rest"),) * len(task.records)
+    )  # all samples tell a gain
     linear = static_blocks(without_past, task.linear_thresholds(), dynamics, "least_squares")
     blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.solver)
-    found: dict[Kind, Found] = {
-        "linear": Found(task.candidate(linear.chosen.hysteresis, dynamics), linear),
-        "static_hysteresis": Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks),
+    found: dict[Kind, FittedModel] = {
+        "linear": FittedModel(task.candidate(linear.chosen.hysteresis, dynamics), linear),
+        "static_hysteresis": FittedModel(task.candidate(blocks.chosen.hysteresis, dynamics), blocks),
     }
-    return Built(found, "static_hysteresis")
+    return CandidateSet(found, "static_hysteresis")
 
 
-def finished_static(task: Task, built: Built) -> Built:
+def finished_static(task: Task, built: CandidateSet) -> CandidateSet:
     """Static hysteresis with fitted thresholds if they are asked for; as it was if nothing is gained."""
     if not task.settings.fits_thresholds:
         return built
@@ -70,7 +72,7 @@ def finished_static(task: Task, built: Built) -> Built:
     begun = built.best.blocks
     if not gained(begun.chosen, blocks.chosen) or lost_inverse(task, begun, blocks):
         return replace(built, notes=(KEPT,) if task.settings.partition == "fitted" else ())
-    found = Found(task.candidate(blocks.chosen.hysteresis, dynamics), blocks)
+    found = FittedModel(task.candidate(blocks.chosen.hysteresis, dynamics), blocks)
     return replace(built, found={**built.found, built.kind: found})
 
 
@@ -91,7 +93,7 @@ def late_static(task: Task) -> Task:
     return replace(task, delay_samples=best_delay(attempt, None)[0])
 
 
-def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solver: str) -> Blocks:
+def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solver: str) -> WeightFits:
     """Weights by the solver asked for, and by the two that it is compared with."""
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
@@ -104,13 +106,13 @@ def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solv
 
     free = solved("least_squares")
     if solver == "closed_form":
-        return Blocks(_closed_form(task, free), free, solved("nonnegative"))
+        return WeightFits(_closed_form(task, free), free, solved("nonnegative"))
     chosen = {
         "least_squares": free,
         "nonnegative": solved("nonnegative"),
         "invertible": solved("invertible"),
     }
-    return Blocks(chosen[solver], free, chosen["nonnegative"])
+    return WeightFits(chosen[solver], free, chosen["nonnegative"])
 
 
 def _closed_form(task: Task, free: StaticFit) -> StaticFit:
@@ -144,12 +146,12 @@ def without_dynamics(task: Task) -> Task:
     return task if own is None else replace(task, delay_samples=own)
 
 
-def of_fitted(task: Task, thresholds_v: Thresholds, dynamics: AxesDynamics | StaticDynamics) -> Blocks:
+def of_fitted(task: Task, thresholds_v: Thresholds, dynamics: AxesDynamics | StaticDynamics) -> WeightFits:
     """Weights of thresholds that were fitted."""
     return replace(static_blocks(task, thresholds_v, dynamics, task.settings.solver), fitted=True)
 
 
-def lost_inverse(task: Task, start: Blocks, found: Blocks) -> bool:
+def lost_inverse(task: Task, start: WeightFits, found: WeightFits) -> bool:
     """Whether the static block had an inverse with the thresholds begun with, and has none any more."""
     amplitude, record = float(half_swing(task.records).max()), task.records[0]
     told = StaticDynamics(n_outputs=task.outputs)

@@ -17,7 +17,7 @@ from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit, Thresholds
 from hammerstein.records.record import Record
 
@@ -33,7 +33,7 @@ class Task:
     """
 
     records: tuple[Record, ...]
-    starts: tuple[Start, ...]
+    starts: tuple[InitialState, ...]
     thresholds_v: Thresholds
     delay_samples: float
     settings: Settings
@@ -77,7 +77,7 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
+class WeightFits:
     """A static block under several methods, behind one and the same linear block.
 
     ``chosen`` is by the solver that was asked for; ``free`` and ``one_sign`` serve for comparison; ``fitted``
@@ -91,31 +91,31 @@ class Blocks:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FittedModel:
     """One model that was fitted, with what tells how."""
 
     candidate: Candidate
-    blocks: Blocks
+    blocks: WeightFits
     axes: tuple[AxisFit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Built:
+class CandidateSet:
     """All models that were fitted: the best of each kind, and others by name.
 
     ``axes`` is what the records say about the axes, also where the model has none; ``untold`` what they do
     not say of the kind of hysteresis, so that plays are as good.
     """
 
-    found: dict[Kind, Found]
+    found: dict[Kind, FittedModel]
     kind: Kind
     axes: tuple[AxisFit, ...] = ()
     notes: tuple[str, ...] = ()
-    others: tuple[tuple[str, Found], ...] = ()
+    others: tuple[tuple[str, FittedModel], ...] = ()
     untold: str = ""
 
     @property
-    def best(self) -> Found:
+    def best(self) -> FittedModel:
         """The largest model that was kept so far."""
         return self.found[self.kind]
 
@@ -125,6 +125,6 @@ class Built:
         return {kind: found.candidate for kind, found in self.found.items()}
 
 
-def thresholds_of(blocks: Blocks) -> list[list[Array]]:
+def thresholds_of(blocks: WeightFits) -> list[list[Array]]:
     """Thresholds (output, input) of the block by the solver that was asked for [V]."""
     return [[pair.thresholds_v for pair in row] for row in blocks.chosen.hysteresis.pairs]

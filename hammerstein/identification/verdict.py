@@ -15,12 +15,12 @@ from hammerstein.dynamics import Dynamics, StateSpaceDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.invertibility import invertibility
-from hammerstein.identification.choice import FELT, NO_BETTER
 from hammerstein.identification.fit import KIND_NAMES, Kind
 from hammerstein.identification.linear.axis_fit import AxisFit
+from hammerstein.identification.model_selection import FELT, NO_BETTER
 from hammerstein.identification.rates import drive_hz
 from hammerstein.identification.score import Candidate, Score
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import pair_loops
@@ -68,7 +68,7 @@ def verdict(
     flags: Sequence[str],
     dynamics: str = "none",
     kept: Kind | None = None,
-    leftover: Sequence[str] = (),
+    residual: Sequence[str] = (),
 ) -> str:
     """Say which block improves the model, from the mean errors of the kinds of model.
 
@@ -108,7 +108,7 @@ the model: it lowers the error from 7.4 to 0.8 %.
             f"The chosen model is {KIND_NAMES[kept]}: {KIND_NAMES[largest]} has more parameters and "
             f"is {NO_BETTER}."
         )
-    sentences[:0] = leftover
+    sentences[:0] = residual
     if flags:
         model = "model" if "classical" in errors else "classical model"
         sentences.append(f"The {model} cannot represent these records: " + "; ".join(flags) + ".")
@@ -128,7 +128,7 @@ def _improves(block: str, without: float, with_it: float) -> str:
 def record_flags(
     candidate: Candidate,
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     explained: Collection[tuple[str, str]] = (),
 ) -> list[str]:
     """Records that the model misses by more than ten percent of their range.
@@ -202,7 +202,7 @@ def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]
 def turning_back_flags(
     candidate: Candidate,
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     direct: Sequence[tuple[int, int]],
 ) -> list[str]:
     """Loops that turn back on themselves: an output returns while its voltage goes on, the model does not.

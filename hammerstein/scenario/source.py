@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.learning import Learned  # noqa: F401  (a kind of compensator that registers itself)
 from hammerstein.hysteresis.kind import refuse_unbuilt
-from hammerstein.identification.choices import MOST_DEAD_ZONES, DynamicsKind, Partition, known_kind
+from hammerstein.identification.options import MOST_DEAD_ZONES, DynamicsKind, Partition, known_kind
 from hammerstein.quantities import (
     Cycles,
     FileName,

@@ -20,9 +20,9 @@ from typing import Any
 from hammerstein.comparison.compare import compare
 from hammerstein.comparison.fitting import LINEAR, WITH_DYNAMICS
 from hammerstein.comparison.result import Comparison
-from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import identify
+from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.records.reading import read_paired_records, read_records

@@ -9,13 +9,13 @@ from made_up_cases import record, stage_records, try_actuator
 from record_cases import plain
 
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
-from hammerstein.identification.choice import Trial, chosen, fold_squares
 from hammerstein.identification.identify import identify
-from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
+from hammerstein.identification.model_selection import Trial, chosen, fold_squares
 from hammerstein.identification.score import Candidate
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.identified import identified_figures
 from hammerstein.reporting.fit_page import fit_page
@@ -120,7 +120,7 @@ def test_an_axis_with_a_low_pass_has_the_response_of_theory():
     w = 2.0 * np.pi * 300.0
     theory = w**2 / (s**2 + 0.2 * w * s + w**2) / (1.0 + 1e-3 * s) * np.exp(-s * 0.5e-5)
     assert np.abs(block.response(s.imag / (2.0 * np.pi))[:, 0, 0] - theory).max() < 2e-3
-    quick = AxisTask((), (), (np.zeros(1),), 0, AxisShape(lag=True), 0, KnownSensor())
+    quick = AxisTask((), (), (np.zeros(1),), 0, AxisShape(lag=True), 0, SensorModel())
     x = np.log([300.0, 0.1, 1e-3])
     hz = [0.0, 50.0, 900.0]
     assert np.abs(quick.path(x, 1e-5).response(hz) - block.response(hz)).max() < 1e-9
@@ -134,9 +134,9 @@ def test_an_unstable_model_never_wins():
     from hammerstein.dynamics import StateSpaceDynamics
 
     grows = StateSpaceDynamics(A=((1.1,),), B=((1.0,),), C=((0.0,),), D=((1.0,),), sample_time_s=1e-3)
-    squares = fold_squares(Candidate(model.hysteresis, grows), [one], [Start("rest")])
+    squares = fold_squares(Candidate(model.hysteresis, grows), [one], [InitialState("rest")])
     assert np.isinf(squares).all()
-    fine = fold_squares(Candidate(model.hysteresis, model.dynamics), [one], [Start("rest")])
+    fine = fold_squares(Candidate(model.hysteresis, model.dynamics), [one], [InitialState("rest")])
     assert chosen([Trial("fine", 5, fine), Trial("grows", 2, squares)]) == 0
 
 

@@ -16,8 +16,8 @@ import hammerstein
 from hammerstein.commands.cli import main
 from hammerstein.comparison.inverting import SETTLING
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.choices import identifiable_kinds
 from hammerstein.identification.identify import from_last_rest
+from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record

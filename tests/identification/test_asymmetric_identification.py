@@ -11,7 +11,7 @@ from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.recorded import counted
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.records.record import Record
 
@@ -202,7 +202,7 @@ def test_loops_of_one_amplitude_leave_weights_that_hold_for_others(dead_zones):
             [record],
             *places_of(block),
             ridge=ridge,
-            starts=[Start("repeated")],
+            starts=[InitialState("repeated")],
             solver="least_squares",
         )
         left = other.y_um - fit.hysteresis.respond(other.u_v)[0]
@@ -264,7 +264,7 @@ def test_micromanipulator(delay, fitted, held_back, plays):
         return counted(Record([table[:, 0]], [table[:, 4]], 5e-3))
 
     record, held = read("Model_Vi_Do.dat"), read("Test_Vi_Do_Di.dat")
-    start = Start("rest", 400)
+    start = InitialState("rest", 400)
     grids = None if plays is None else input_grids([record], plays, "voltage")
     known = {"starts": [start], "delay_samples": delay}
     block, ridge = columns_for("asymmetric", [record], grids=grids, **known)

@@ -81,13 +81,13 @@ def test_through_a_resonance_and_a_delay_the_same_numbers():
 
 
 def test_a_repeated_record_needs_no_rest():
-    from hammerstein.identification.static.regressors import Start
+    from hammerstein.identification.static.regressors import InitialState
 
     cycle = np.sin(2.0 * np.pi * np.arange(3 * 400) / 400)
     u = 10.0 * np.stack([cycle])
     y = theory.bouc_wen(u, [[14.0]], [[4.0]], [[0.25]], [[0.1]])[:, 800:]
     record = Record(u[:, 800:], y, T)
-    fit = fit_kind("bouc_wen", [record], starts=[Start("repeated")])
+    fit = fit_kind("bouc_wen", [record], starts=[InitialState("repeated")])
     assert fit.rms_um[0] < 5e-3
 
 

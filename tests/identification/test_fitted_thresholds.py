@@ -16,7 +16,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.operators import input_grids
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, merged
-from hammerstein.identification.static.regressors import BLOCK, Start, regressor_blocks
+from hammerstein.identification.static.regressors import BLOCK, InitialState, regressor_blocks
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static.threshold_exchange import _sweep, exchanged, finer
 from hammerstein.identification.static.threshold_search import ThresholdTask, place_at
@@ -100,7 +100,7 @@ def record_of(u, grids, weights, noise_um=0.0, generator=None):
 
 
 def task_of(*records, through=()):
-    return ThresholdTask(records, [Start("rest")] * len(records), 0, through)
+    return ThresholdTask(records, [InitialState("rest")] * len(records), 0, through)
 
 
 def rms_um(record, grids):
@@ -114,7 +114,7 @@ def test_derivatives_of_the_plays_are_their_central_differences():
     generator = np.random.default_rng(1)
     u = np.hstack([np.zeros((1, 20)), wandering(generator, 1, BLOCK + 3000)])
     r, h = np.array([0.0, 0.4, 2.5, 7.0]), 1e-7
-    rows = np.hstack([x for _, x in regressor_blocks(u, Start("rest"), [r], with_derivatives=True)])
+    rows = np.hstack([x for _, x in regressor_blocks(u, InitialState("rest"), [r], with_derivatives=True)])
     ahead, behind = (np.array([theory.play(u[0], x + step) for x in r[1:]]) for step in (h, -h))
     difference = (ahead - behind) / (2.0 * h)
     differs = np.abs(rows[5:] - difference) > 1e-6
@@ -299,7 +299,7 @@ def test_no_threshold_explains_the_very_tips_with_a_slope_that_nothing_has():
     y = truth.respond([u])[0]
     y[0] -= 0.5 * np.sign(np.gradient(u))
     grids = fit_thresholds(
-        ThresholdTask([Record([u], y, 1e-3)], [Start("rest")]), [np.linspace(0.0, 48.0, 12)]
+        ThresholdTask([Record([u], y, 1e-3)], [InitialState("rest")]), [np.linspace(0.0, 48.0, 12)]
     )
     fit = fit_static([Record([u], y, 1e-3)], [list(grids)], solver="least_squares")
     assert grids[0][-1] <= 0.999 * 50.0

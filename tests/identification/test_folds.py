@@ -7,7 +7,7 @@ import theory
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.operators import enough_operators, error_curve
 from hammerstein.identification.static.folds import FOLDS, left_out, moments_of_folds
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
 
 
@@ -58,7 +58,7 @@ def test_numbers_of_operators_are_not_judged_by_what_one_part_alone_shows():
     clean = theory.prandtl_ishlinskii(u, [[r]], [[w]])
     noise_um = 0.03
     y = clean + noise_um * np.random.default_rng(0).standard_normal(clean.shape)
-    curve = error_curve([Record(u, y, 2e-4)], [Start("rest")])
+    curve = error_curve([Record(u, y, 2e-4)], [InitialState("rest")])
     held_out = {point.operators: point.mean_percent for point in curve}
     assert (
         held_out[60] * np.ptp(y) / 100.0 < 1.5 * noise_um

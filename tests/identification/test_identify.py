@@ -15,8 +15,8 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
 from hammerstein.identification.score import Candidate, Score
-from hammerstein.identification.static.history import cautious_start, closed, judged_starts
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.initial_state import cautious_start, closed, judged_starts
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.verdict import UNTOLD, invertibility_of, verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.records.excitation import run_in
@@ -176,14 +176,14 @@ def test_weights_behind_a_known_coupled_block_come_back():
     record = Record(u, responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, w)), 1e-3)
     block = LinearBlock(a, b, c, np.zeros((2, 2)), 1e-3)
     for solver in ("least_squares", "invertible"):
-        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], solver=solver)
+        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [InitialState("rest")], solver=solver)
         found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
         assert np.abs(found - w).max() < 1e-8
     falling = w.copy()
     falling[0, 0] = [-0.4, 2.4]  # whose first slope falls, and with it the determinant
     record = Record(u, responses(a, b, c, theory.prandtl_ishlinskii(u, [[r] * 2] * 2, falling)), 1e-3)
     for solver, comes_back in (("least_squares", True), ("invertible", False)):
-        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [Start("rest")], solver=solver)
+        fit = fit_static_coupled([record], [[r] * 2] * 2, block, [InitialState("rest")], solver=solver)
         found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
         assert (np.abs(found - falling).max() < 1e-8) == comes_back
         assert (found[0, 0, 0] > 0.0) != comes_back
@@ -268,18 +268,18 @@ def test_a_linear_block_without_inverse_is_blamed_with_its_frequency():
 def test_starts_are_told_from_the_records():
     u = 10.0 * np.sin(2.0 * np.pi * np.arange(1600) / 400)
     rest = Record([u], theory.prandtl_ishlinskii([u], [[theory.R_V]], [[theory.W_XX]]), 5e-5)
-    assert identify([rest], plain())[1].starts == (Start("rest"),)
+    assert identify([rest], plain())[1].starts == (InitialState("rest"),)
     moving = Record([u[400:]], rest.y_um[:, 400:], 5e-5)
     _, fit = identify([moving], plain(thresholds_v=theory.R_V))
     assert fit.starts[0].kind == "turned"
     assert fit.starts[0].turn_v[0][1] == pytest.approx(-10.0)  # there the sine turned before it went on
     assert fit.fit["static_hysteresis"].rms_um[0] < 1e-9
     known = identify([moving], plain(start="repeated"))[1].starts
-    assert known == (Start("repeated", run_in(moving)),)
+    assert known == (InitialState("repeated", run_in(moving)),)
     loop = Record([u[500:901]], rest.y_um[:, 500:901], 5e-5)
     assert closed(loop)
-    assert cautious_start(loop) == Start("repeated")
-    assert identify([moving], plain(start="rest"))[1].starts == (Start("rest"),)
+    assert cautious_start(loop) == InitialState("repeated")
+    assert identify([moving], plain(start="rest"))[1].starts == (InitialState("rest"),)
 
 
 def test_a_beginning_that_a_simpler_model_explains_is_not_left_out():
@@ -293,7 +293,7 @@ def test_a_beginning_that_a_simpler_model_explains_is_not_left_out():
     assert start.kind == "repeated"
     assert start.first > 0
     assert judged_starts([record], late, 0.0, simpler=[linear]) == (start,)
-    assert judged_starts([record], late, 0.0, simpler=[linear, right]) == (Start("rest"),)
+    assert judged_starts([record], late, 0.0, simpler=[linear, right]) == (InitialState("rest"),)
 
 
 def test_a_dead_start_is_used_as_it_is():
@@ -301,7 +301,7 @@ def test_a_dead_start_is_used_as_it_is():
     still = np.zeros((1, 60))
     late = Record(np.hstack([still, record.u_v]), np.hstack([still + 3.0, record.y_um + 3.0]), 5e-5)
     model, fit = identify([late], plain(thresholds_v=theory.R_V, delay_samples=0))
-    assert fit.starts == (Start("rest"),)
+    assert fit.starts == (InitialState("rest"),)
     assert fit.offsets_um[0][0] == pytest.approx(3.0, abs=0.01)
     assert model.hysteresis.pairs[0][0].slopes == pytest.approx(np.cumsum(theory.W_XX), abs=0.3)
 

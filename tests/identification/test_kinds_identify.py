@@ -13,12 +13,12 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
-from hammerstein.identification.behind import Behind
 from hammerstein.identification.identify import identify
-from hammerstein.identification.kinds import Replacement, Whole, trials_of
+from hammerstein.identification.kinds import FittedBlock, HammersteinFit, trials_of
+from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import judged_starts
+from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.identification.task import Task
 from hammerstein.records.record import Record
 
@@ -162,7 +162,7 @@ def tried_on(records, *blocks):
     for block in blocks:
         candidate = Candidate(block, StaticDynamics(n_outputs=1))
         starts = judged_starts(records, candidate.predict, 0.0)
-        found.append(Whole(candidate, Behind((), 0.0), Replacement(block), starts))
+        found.append(HammersteinFit(candidate, OutputDynamics((), 0.0), FittedBlock(block), starts))
     return Task(tuple(records), found[0].starts, [[R]], 0.0, settings, lambda _: None), found
 
 

@@ -17,7 +17,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii, RateDependent, RateP
 from hammerstein.identification.identify import identify
 from hammerstein.identification.rates import several_rates
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 
@@ -62,7 +62,7 @@ def test_a_record_that_begins_after_a_turn_needs_no_rest():
     after = 2.0 + 0.8 * sines((20.0, 200.0), (2, 4))
     y = block.respond([np.append(before, after)])[0][:, len(before) :]
     record = Record([after], y, T)
-    fit = fit_kind("rate_dependent", [record], grids=[R], starts=[Start("turned", 0, ((0.0, 9.0),))])
+    fit = fit_kind("rate_dependent", [record], grids=[R], starts=[InitialState("turned", 0, ((0.0, 9.0),))])
     assert fit.rms_um[0] < 0.01
     assert fit_kind("rate_dependent", [record], grids=[R]).rms_um[0] > 10.0 * fit.rms_um[0]
 

@@ -9,13 +9,13 @@ import pytest
 
 from hammerstein.dynamics import Axis, CreepMode, StaticDynamics
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.identification.choice import chosen, trial_of
 from hammerstein.identification.identify import identify
-from hammerstein.identification.leftover import faults_left
 from hammerstein.identification.linear.axis_fit import AxisFit
+from hammerstein.identification.model_selection import chosen, trial_of
+from hammerstein.identification.residual_analysis import faults_left
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.verdict import creep_identified
 from hammerstein.records.record import Record
 
@@ -60,7 +60,7 @@ def test_saturation_that_a_model_follows_is_no_fault_of_its_record():
     y = 60.0 * np.tanh(u / 70.0) + 0.02 * np.random.default_rng(1).standard_normal(u.shape)
     bent = Record([u], [y], 1e-3, ("u",), ("x",), "bent")
     line = Candidate(PrandtlIshlinskii([[Pair.linear(0.6)]]), StaticDynamics(n_outputs=1))
-    assert any("saturates" in fault.text for fault in faults_left(line, [bent], [Start("rest")]))
+    assert any("saturates" in fault.text for fault in faults_left(line, [bent], [InitialState("rest")]))
     _, fit = identify([bent], Settings(hysteresis="asymmetric", dynamics="none"))
     assert fit.fit[fit.kind].nrmse_percent[0] < 0.5
     assert not any("saturates" in flag for flag in fit.flags)
@@ -97,7 +97,9 @@ def test_records_tell_no_more_numbers_than_a_third_of_their_readings():
     blocks = [PrandtlIshlinskii([[Pair(r, np.full(len(r), 1.0 / len(r)))]]) for r in grids]
     read = Record([u], blocks[1].respond([u])[0], 1e-3)
     trials = [
-        trial_of(str(k), Candidate(b, StaticDynamics(n_outputs=1)), [read], [Start("rest")], invertible=True)
+        trial_of(
+            str(k), Candidate(b, StaticDynamics(n_outputs=1)), [read], [InitialState("rest")], invertible=True
+        )
         for k, b in enumerate(blocks)
     ]
     assert trials[1].percent < trials[0].percent
@@ -110,7 +112,7 @@ def test_a_number_at_its_limit_loses_to_one_that_is_told():
     block = PrandtlIshlinskii([[Pair([0.0, 2.0], [1.0, 1.0])]])
     read = Record([u], block.respond([u])[0], 1e-3)
     two = [Candidate(block, StaticDynamics(n_outputs=1), at_limit=held) for held in (True, False)]
-    trials = [trial_of("", one, [read], [Start("rest")], invertible=True) for one in two]
+    trials = [trial_of("", one, [read], [InitialState("rest")], invertible=True) for one in two]
     assert chosen(trials) == 1
 
 

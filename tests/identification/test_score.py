@@ -9,7 +9,7 @@ from hammerstein.identification.linear.delay import best_delay
 from hammerstein.identification.operators import CurvePoint, enough_operators
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.fitted_thresholds import gained
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.record import Record
 
@@ -20,7 +20,7 @@ def test_errors_are_in_parts_of_range_and_of_power():
     off = 0.5 * np.resize([1.0, -1.0], 401)
     model = Candidate(PrandtlIshlinskii([[Pair.linear(3.0)]]), StaticDynamics(n_outputs=1))
     y = 3.0 * u + off
-    found = score(model, [Record([u], [y + 7.0], 1e-3)], [Start("rest")])
+    found = score(model, [Record([u], [y + 7.0], 1e-3)], [InitialState("rest")])
     assert found.rms_um == pytest.approx((0.5,), rel=1e-4)
     assert found.nrmse_percent == pytest.approx((100.0 * 0.5 / np.ptp(y),), rel=1e-4)
     assert found.output_percent == pytest.approx((100.0 * 0.5 / np.std(y),), rel=1e-4)

@@ -13,14 +13,14 @@ from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification.axes_candidates import dynamics_of
-from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear import axis_search
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import checked_delay, search_axes
 from hammerstein.identification.linear.axis_steps import refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.delay import _part_of_a_sample
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.verdict import axis_identified, axis_statements
 from hammerstein.records.record import Record
@@ -77,9 +77,9 @@ def campaign(noise=0.04, seed=0, frequencies=(20.0, 100.0, 250.0, 400.0), **keyw
 
 
 def fitted(records, creep_modes=0, **keywords):
-    starts = [Start("rest")] * len(records)
-    guess = search_axes(records, starts, sensor=KnownSensor(SENSOR_HZ), **keywords)
-    return fit_axes(records, [R, R], starts, guess, creep_modes=creep_modes, sensor=KnownSensor(SENSOR_HZ))
+    starts = [InitialState("rest")] * len(records)
+    guess = search_axes(records, starts, sensor=SensorModel(SENSOR_HZ), **keywords)
+    return fit_axes(records, [R, R], starts, guess, creep_modes=creep_modes, sensor=SensorModel(SENSOR_HZ))
 
 
 def test_resonance_damping_and_weights_come_back_from_noisy_sines():
@@ -100,9 +100,9 @@ def test_standard_errors_are_of_the_size_of_the_errors():
     scores = []
     for seed in range(6):
         records = campaign(0.2, seed, frequencies=(100.0, 250.0))
-        starts = (Start("rest"),) * len(records)
+        starts = (InitialState("rest"),) * len(records)
         for o, truth in enumerate(AXES):
-            task = AxisTask(tuple(records), starts, (R, R), o, AxisShape(), 0, KnownSensor(SENSOR_HZ))
+            task = AxisTask(tuple(records), starts, (R, R), o, AxisShape(), 0, SensorModel(SENSOR_HZ))
             point = refine(task, np.log(truth))
             scores += list((point.x - np.log(truth)) / point.errors)
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.6  # 24 normal scores
@@ -125,7 +125,7 @@ def test_a_resonance_is_found_that_shows_only_late_in_long_records(monkeypatch):
         u[k, :slow] = 10.0 * np.sin(2.0 * np.pi * 1.5 * T * np.arange(slow))
         u[k, slow:] = generator.uniform(-2.0, 2.0, 500).repeat(8)
         records.append(record_of(u, 0.3, generator, axes=((700.0, 0.025), (740.0, 0.025))))
-    guess = search_axes(records, [Start("rest")] * 2, sensor=KnownSensor(SENSOR_HZ))
+    guess = search_axes(records, [InitialState("rest")] * 2, sensor=SensorModel(SENSOR_HZ))
     for x, resonance_hz in zip(guess.parameters, (700.0, 740.0), strict=True):
         assert np.exp(x) == pytest.approx([resonance_hz, 0.025], rel=0.1)
 
@@ -145,12 +145,12 @@ def test_a_part_of_a_sample_of_delay_is_told():
         fine = record_of(u, 0.0, generator, delay=late, sample_time_s=T / parts)
         y = fine.y_um[:, ::parts]
         records.append(Record(record.u_v, y + 0.02 * generator.standard_normal(y.shape), T))
-    starts = [Start("rest")] * len(records)
-    guess = search_axes(records, starts, sensor=KnownSensor(SENSOR_HZ), delay_samples=None)
-    found = checked_delay(records, starts, [R, R], guess, sensor=KnownSensor(SENSOR_HZ))
-    fit = fit_axes(records, [R, R], starts, found, sensor=KnownSensor(SENSOR_HZ))
+    starts = [InitialState("rest")] * len(records)
+    guess = search_axes(records, starts, sensor=SensorModel(SENSOR_HZ), delay_samples=None)
+    found = checked_delay(records, starts, [R, R], guess, sensor=SensorModel(SENSOR_HZ))
+    fit = fit_axes(records, [R, R], starts, found, sensor=SensorModel(SENSOR_HZ))
     assert fit.delay_samples == pytest.approx(late / parts, abs=0.05)
-    whole = fit_axes(records, [R, R], starts, guess, sensor=KnownSensor(SENSOR_HZ))
+    whole = fit_axes(records, [R, R], starts, guess, sensor=SensorModel(SENSOR_HZ))
     for o, (resonance_hz, damping) in enumerate(AXES):
         axis = fit.axes[o]
         assert axis.axis.resonance_hz == pytest.approx(resonance_hz, rel=1e-3)
@@ -177,8 +177,8 @@ def test_creep_comes_back_from_a_slow_record_beside_fast_ones():
 
 def test_a_resonance_shows_whatever_the_size_of_the_motion():
     records = [Record(r.u_v, 2.0**-13 * r.y_um, T) for r in campaign(0.2, frequencies=(100.0, 250.0))]
-    starts = (Start("rest"),) * len(records)
-    task = AxisTask(tuple(records), starts, (R, R), 0, AxisShape(), 0, KnownSensor(SENSOR_HZ))
+    starts = (InitialState("rest"),) * len(records)
+    task = AxisTask(tuple(records), starts, (R, R), 0, AxisShape(), 0, SensorModel(SENSOR_HZ))
     assert fit_axis(task, np.log(AXES[0])).excited
 
 
@@ -229,7 +229,7 @@ def test_a_lag_that_is_mostly_error_is_stated():
 @pytest.mark.parametrize("sample_time_s", [T, 0.01])
 def test_quick_paths_are_those_of_the_model(sensor_hz, sample_time_s):
     x = np.concatenate([np.log([280.0, 0.12]), [0.05, np.log(0.02), -0.01, np.log(30.0)]])
-    task = AxisTask((), (), (R,), 0, AxisShape(creep_modes=2), 0, KnownSensor(sensor_hz))
+    task = AxisTask((), (), (R,), 0, AxisShape(creep_modes=2), 0, SensorModel(sensor_hz))
     for path, dynamics in (
         (task.path(x, sample_time_s), AxesDynamics(axes=(axis_of(task.shape, x),))),
         (task.sensor_path(sample_time_s), StaticDynamics(n_outputs=1)),
@@ -243,7 +243,13 @@ def test_derivatives_are_those_of_the_output():
     x = np.concatenate([x, [0.05, np.log(0.02)]])
     records = campaign(0.0)
     task = AxisTask(
-        tuple(records), (Start("rest"),) * 8, (R, R), 0, AxisShape(creep_modes=1), 0, KnownSensor(SENSOR_HZ)
+        tuple(records),
+        (InitialState("rest"),) * 8,
+        (R, R),
+        0,
+        AxisShape(creep_modes=1),
+        0,
+        SensorModel(SENSOR_HZ),
     )
     slopes = np.arange(1.0, 9.0)
     columns = np.random.default_rng(0).standard_normal((8, 300))
@@ -258,7 +264,9 @@ def test_derivatives_are_those_of_the_output():
 
 def test_parameters_stay_within_what_the_records_can_show():
     records = campaign(0.0)[:1]
-    task = AxisTask(tuple(records), (Start("rest"),), (R, R[:0]), 0, AxisShape(), 0, KnownSensor(SENSOR_HZ))
+    task = AxisTask(
+        tuple(records), (InitialState("rest"),), (R, R[:0]), 0, AxisShape(), 0, SensorModel(SENSOR_HZ)
+    )
     found = axis_of(task.shape, refine(task, np.log([1e5, 1e-6])).x)
     assert found.resonance_hz <= 0.45 / T
     assert found.damping_ratio >= 0.99e-4
@@ -266,7 +274,9 @@ def test_parameters_stay_within_what_the_records_can_show():
 
 def test_searches_that_meet_arrive_at_one_place():
     records = campaign()
-    task = AxisTask(tuple(records), (Start("rest"),) * 8, (R, R), 0, AxisShape(), 0, KnownSensor(SENSOR_HZ))
+    task = AxisTask(
+        tuple(records), (InitialState("rest"),) * 8, (R, R), 0, AxisShape(), 0, SensorModel(SENSOR_HZ)
+    )
     begins = [np.log(each) for each in ((320.0, 0.15), (240.0, 0.15), (5000.0, 0.03))]
     (found,) = axis_search._arrived(task, begins)
     assert np.abs(np.exp(found.x) / AXES[0] - 1.0).max() < 0.02
@@ -316,9 +326,9 @@ def settled_cycles(*rates_hz):
 def test_a_resonance_among_the_harmonics_of_the_only_rate_is_not_told(rates_hz, told):
     """A settled loop holds multiples of its rate alone: any of them may be made by hysteresis as well."""
     records = settled_cycles(*rates_hz)
-    starts = (Start("repeated"),) * len(records)
+    starts = (InitialState("repeated"),) * len(records)
     fit = fit_axis(
-        AxisTask(records, starts, (R,), 0, AxisShape(), 0, KnownSensor(SENSOR_HZ)), np.log([1.9, 0.1])
+        AxisTask(records, starts, (R,), 0, AxisShape(), 0, SensorModel(SENSOR_HZ)), np.log([1.9, 0.1])
     )
     assert fit.axis.resonance_hz == pytest.approx(2.0, rel=0.01)
     assert axis_identified(fit) is told

@@ -4,22 +4,22 @@ import numpy as np
 import pytest
 
 from hammerstein.errors import IdentificationError
-from hammerstein.identification import first_look
+from hammerstein.identification import initialisation
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import (
+from hammerstein.identification.static.initial_state import (
     closed,
     each_alone,
     found_starts,
     judged_starts,
     shortened,
 )
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
 
 U = 10.0 * np.sin(2.0 * np.pi * np.arange(2050) / 100)
 
 
-def straight(record: Record, start: Start) -> np.ndarray:
+def straight(record: Record, start: InitialState) -> np.ndarray:
     return 5.0 * record.u_v
 
 
@@ -39,11 +39,11 @@ def test_of_models_that_explain_a_beginning_the_better_one_says_how_it_was():
     n = np.arange(U.size)
     bump, wobble = np.where(n < 60, 2.0, 0.0), np.where(n > 500, np.cos(n), 0.0)
 
-    def better(record: Record, start: Start) -> np.ndarray:
+    def better(record: Record, start: InitialState) -> np.ndarray:
         came_from_above = start.turn_v == ((0.0, U.max()),)
         return straight(record, start) + came_from_above * 0.5 * bump - (start.kind == "rest") * bump
 
-    def simpler(record: Record, start: Start) -> np.ndarray:
+    def simpler(record: Record, start: InitialState) -> np.ndarray:
         return straight(record, start) + (start.kind == "rest") * bump + wobble
 
     (start,) = judged_starts([Record([U], [5.0 * U + bump], 1e-3)], better, 0.0, simpler=[simpler])
@@ -53,14 +53,14 @@ def test_of_models_that_explain_a_beginning_the_better_one_says_how_it_was():
 def test_of_two_records_one_alone_may_have_begun_otherwise():
     bump = np.where(np.arange(U.size) < 500, 8.0, 0.0)
 
-    def predict(record: Record, start: Start) -> np.ndarray:
+    def predict(record: Record, start: InitialState) -> np.ndarray:
         came_from_below = start.turn_v == ((0.0, U.min()),)
         return straight(record, start) + came_from_below * bump
 
     records = [Record([U], [5.0 * U], 1e-3), Record([U], [5.0 * U + bump], 1e-3)]
-    begun = (Start("rest"), Start("rest"))
+    begun = (InitialState("rest"), InitialState("rest"))
     first, second = each_alone(records, begun, lambda starts: predict, [0, 1])
-    assert first == Start("rest")
+    assert first == InitialState("rest")
     assert second.turn_v == ((0.0, U.min()),)
     assert each_alone(records, begun, lambda starts: predict, [0]) == begun
     assert each_alone(records, begun, lambda starts: predict, []) == begun
@@ -70,7 +70,7 @@ def test_beginnings_hold_the_whole_swing_of_every_input():
     slow, still = 10.0 * np.sin(2.0 * np.pi * np.arange(40_000) / 20_000), np.zeros(40_000)
     driven = ((slow, still), (still, slow), (0.3 * slow, slow / 9))
     records = [Record(both, both, 1e-4) for both in driven]
-    few, _ = shortened(records, (Start("rest"),) * 3, 6000)
+    few, _ = shortened(records, (InitialState("rest"),) * 3, 6000)
     lengths = [record.samples for record in few]
     lowest = 15_000  # after three quarters of the sine
     assert lengths == pytest.approx([lowest, lowest, 2000], rel=0.02)
@@ -79,7 +79,9 @@ def test_beginnings_hold_the_whole_swing_of_every_input():
 
 def test_a_beginning_is_not_over_before_anything_in_it_counts():
     u = 10.0 * np.sin(2.0 * np.pi * np.arange(40_000) / 1000)
-    part, start = (found[0] for found in shortened([Record([u], [u], 1e-4)], [Start("rest", 30_000)], 2000))
+    part, start = (
+        found[0] for found in shortened([Record([u], [u], 1e-4)], [InitialState("rest", 30_000)], 2000)
+    )
     assert start.first <= part.samples // 2
 
 
@@ -97,11 +99,11 @@ def test_what_a_record_adds_to_a_first_model_is_gathered_once_for_each_start(mon
         gathered.append((records[0].y_um[0, 1], starts[0]))
         return static_moments(records, grids, starts, *more)
 
-    static_moments = first_look.static_moments
-    monkeypatch.setattr(first_look, "static_moments", counted)
+    static_moments = initialisation.static_moments
+    monkeypatch.setattr(initialisation, "static_moments", counted)
     records = tuple(Record([U], [gain * U], 1e-3) for gain in (5.0, 5.0 + 1e-9))
-    rest, again = Start("rest"), Start("repeated", 100)
-    models = first_look._FirstModels(records, None, Settings(dynamics="none"))
+    rest, again = InitialState("rest"), InitialState("repeated", 100)
+    models = initialisation._FirstModels(records, None, Settings(dynamics="none"))
     for starts in ((rest, rest), (rest, again), (again, again), (again, rest)):
         predicted = models.fitted(starts).predict(records[0], rest)
         assert np.abs(predicted - 5.0 * U).max() < 1e-6

@@ -22,9 +22,9 @@ from hammerstein.identification.static.normal_equations import (
     squares_left,
 )
 from hammerstein.identification.static.regressors import (
+    InitialState,
     PlayColumns,
     SideBySide,
-    Start,
     channel,
     regressor_blocks,
 )
@@ -271,7 +271,7 @@ def test_a_repeated_start_takes_the_record_for_its_own_past():
     u = np.tile(10.0 * np.sin(2.0 * np.pi * np.arange(400) / 400), 2)[None]
     y = theory.prandtl_ishlinskii(u, [[theory.R_V]], [[theory.W_XX]])[:, 400:]
     record = Record(u[:, 400:], y, 5e-5)
-    fit = fit_static([record], [[theory.R_V]], solver="least_squares", starts=[Start("repeated")])
+    fit = fit_static([record], [[theory.R_V]], solver="least_squares", starts=[InitialState("repeated")])
     assert worst(fit.hysteresis, [[theory.W_XX]]) < 1e-8
     assert fit_static([record], [[theory.R_V]], solver="least_squares").rms_um[0] > 0.1
 
@@ -283,7 +283,7 @@ def test_error_curve_levels_off_at_the_true_number_of_operators():
     )
     u = random_walk(generator, 1, 6000)
     record = record_of(u, [[r[0]]], [[np.linspace(3.0, 0.5, 8)]], 0.0, 0.01, generator)
-    curve = error_curve([record], [Start("rest")], partition="voltage")
+    curve = error_curve([record], [InitialState("rest")], partition="voltage")
     errors = {point.operators: point.mean_percent for point in curve}
     assert errors[1] > 10.0 * errors[8]
     assert errors[8] == pytest.approx(100.0 * 0.01 / np.ptp(record.y_um), rel=0.1)
@@ -294,7 +294,7 @@ def test_error_curve_is_of_parts_that_were_not_fitted():
     generator = np.random.default_rng(14)
     u = random_walk(generator, 1, 400)
     noise = Record(u, generator.standard_normal((1, 400)), 1e-3)  # nothing to be learnt: more is worse
-    few, *_, many = error_curve([noise], [Start("rest")])
+    few, *_, many = error_curve([noise], [InitialState("rest")])
     assert many.mean_percent > 1.02 * few.mean_percent
 
 
@@ -327,7 +327,7 @@ def test_decaying_sines_one_axis_at_a_time_are_no_inseparable_inputs(solver):
     grid = np.linspace(0.0, 8.0, 20)
     rows, weights = [[grid, grid]] * 2, [[np.ones(20), 0.1 * np.ones(20)], [0.2 * np.ones(20), np.ones(20)]]
     records = [Record(decays(k), theory.prandtl_ishlinskii(decays(k), rows, weights), 1e-3) for k in (0, 1)]
-    starts = [Start("repeated", 1200)] * 2
+    starts = [InitialState("repeated", 1200)] * 2
     fit = fit_static(records, rows, solver=solver, starts=starts)
     assert (fit.rms_um < 0.15).all()
     assert fit.open
@@ -340,7 +340,7 @@ def test_bounds_hold_beside_plays_that_never_move():
     grid = np.linspace(0.0, 9.0, 10)
     rows, weights = [[grid, grid]] * 2, [[np.ones(10), 0.1 * np.ones(10)], [0.2 * np.ones(10), np.ones(10)]]
     y = theory.prandtl_ishlinskii(u, rows, weights) + 0.05 * rng.standard_normal((2, u.shape[1]))
-    start = [Start("repeated", 300)]
+    start = [InitialState("repeated", 300)]
     free, bound = (
         fit_static([Record(u, y, 1e-3)], rows, solver=solver, starts=start)
         for solver in ("least_squares", "invertible")
@@ -385,7 +385,7 @@ def test_columns_that_are_zero_need_not_be_summed():
 @pytest.mark.parametrize("middle", [0.0, 2.5, 9.0])
 def test_plays_of_an_input_that_rests_stay_where_its_voltage_put_them(middle):
     r = np.array([0.0, 1.0, 3.0])
-    start = Start("stepped", 0, ((middle, middle),))
+    start = InitialState("stepped", 0, ((middle, middle),))
     [(_, x)] = regressor_blocks(np.full((1, 5), 2.0), start, [r])
     plays = np.clip(middle, 2.0 - r, 2.0 + r)
     assert np.array_equal(x, np.repeat(np.append(-np.diff(plays), plays[-1])[:, None], 5, axis=1))
@@ -396,7 +396,9 @@ def test_plays_that_are_kept_can_be_gone_through_again(kind):
     u, r = random_walk(np.random.default_rng(2), 1, 9000), 3.0
     before = u[0] if kind == "repeated" else u[0, :0]
     wanted = theory.play(np.concatenate([before, u[0]]), r)[len(before) :]
-    kept = PlayColumns.of(np.vstack([u, 0.0 * u]), Start(kind), [np.array([r]), np.array([0.5])]).kept()
+    kept = PlayColumns.of(
+        np.vstack([u, 0.0 * u]), InitialState(kind), [np.array([r]), np.array([0.5])]
+    ).kept()
     for _ in range(2):
         assert np.array_equal(np.hstack([x for _, x in kept.counted]), [wanted, 0.0 * wanted])
         assert sum(x.shape[1] for x in kept.before) == len(before)

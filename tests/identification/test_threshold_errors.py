@@ -14,7 +14,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.parameter_covariance import parameter_covariance
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static.threshold_search import ThresholdTask, search_near
 from hammerstein.model import HammersteinModel
@@ -42,7 +42,7 @@ def record(seed, noise_um=0.03, weights=W):
 
 def refitted(seed, solver="least_squares", **options):
     """A model with the thresholds of a record with its own noise, and the covariance of all of it."""
-    own, start = record(seed, **options), Start("rest")
+    own, start = record(seed, **options), InitialState("rest")
     grids = list(search_near(ThresholdTask([own], [start], 0, []), tuple(R)).grids)
     block = fit_static([own], [grids] * 2, solver=solver).hysteresis
     known = parameter_covariance(Candidate(block, STATIC), [own], [start], True)
@@ -82,7 +82,7 @@ def test_errors_and_draws_are_those_of_refits():
 
 def test_thresholds_that_are_given_differ_by_what_the_model_leaves():
     """The draws of a model on other thresholds leave on its record what the model leaves beyond the noise."""
-    own, start = record(5, 0.01), Start("rest")
+    own, start = record(5, 0.01), InitialState("rest")
     grids = [np.array([0.1, 1.0, 2.0, 3.0]), np.array([0.2, 1.5])]
     block = fit_static([own], [grids] * 2, solver="least_squares").hysteresis
     here = Candidate(block, STATIC)

@@ -12,7 +12,7 @@ from hammerstein.errors import HammersteinError, InputError
 from hammerstein.identification.identify import from_last_rest, identify
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import judged_starts, own_starts
+from hammerstein.identification.static.initial_state import judged_starts, own_starts
 from hammerstein.identification.verdict import axis_identified
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record

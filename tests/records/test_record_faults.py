@@ -12,7 +12,7 @@ from record_faults import SHAPES, STEP_S, copied, measured
 
 from hammerstein.errors import HammersteinError
 from hammerstein.identification.identify import identify
-from hammerstein.identification.leftover import faults_left
+from hammerstein.identification.residual_analysis import faults_left
 from hammerstein.records.faults import faults
 from hammerstein.records.record import Record
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
-from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_search import FirstGuess, Progress, uniform_grids
-from hammerstein.identification.linear.axis_steps import Point, alone, refine, residuals
+from hammerstein.identification.linear.axis_steps import Point, fit_slopes, refine, residuals
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
 from hammerstein.identification.rates import drive_hz, several_rates
-from hammerstein.identification.static.regressors import Filter, SideBySide, Start
+from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
 from hammerstein.records.record import Record
 
 CREEP_OPERATORS = 6  # few: creep is slower than any loop
@@ -77,7 +77,7 @@ class AxisFit:
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
     """Fit one axis from parameters near the best ones; creep is begun anew if ``begin`` holds none."""
     shape = task.shape
-    static = alone(task, task.sensor_path)[1]
+    static = fit_slopes(task, task.sensor_path)[1]
     x = begin if len(begin) == shape.parameters else np.concatenate([begin[: shape.slow], _first_creep(task)])
     if not shape.parameters:
         return AxisFit(Axis(), None, None, (), static, static)
@@ -187,11 +187,11 @@ class AxesFit:
 def fit_axes(
     records: Sequence[Record],
     grids: Sequence[Array],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     guess: FirstGuess,
     *,
     creep_modes: int | None = 0,
-    sensor: KnownSensor | None = None,
+    sensor: SensorModel | None = None,
     every: int = 1,
     progress: Progress | None = None,
 ) -> AxesFit:
@@ -219,7 +219,7 @@ def fit_axes(
             o,
             shape if creep_modes is None else replace(shape, creep_modes=creep_modes),
             guess.delay_samples,
-            sensor or KnownSensor(),
+            sensor or SensorModel(),
             every,
         )
         fits.append(fit_axis(task, begin))

@@ -11,11 +11,10 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics
-from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_steps import (
     ROUGHLY,
     Point,
-    alone,
+    fit_slopes,
     refine,
     refined,
     residuals,
@@ -23,9 +22,10 @@ from hammerstein.identification.linear.axis_steps import (
 )
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, duration_s
 from hammerstein.identification.linear.delay import best_delay
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.closed_form import thresholds_uniform_in_voltage
-from hammerstein.identification.static.history import liveliest
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.initial_state import most_dynamic_segment
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.records.record import Record
 
@@ -88,11 +88,11 @@ class FirstGuess:
 
 def search_axes(
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     *,
     grids: Sequence[Array] | None = None,
     delay_samples: int | None = 0,
-    sensor: KnownSensor | None = None,
+    sensor: SensorModel | None = None,
     lag: bool = False,
     resonance: bool = True,
     progress: Progress | None = None,
@@ -112,14 +112,14 @@ def search_axes(
     """
     tell = progress or (lambda _: None)
 
-    quick, begun = liveliest(records, starts, GUESS_SAMPLES)
+    quick, begun = most_dynamic_segment(records, starts, GUESS_SAMPLES)
     every = thinning(quick)
     plays = uniform_grids(quick, GUESS_OPERATORS) if grids is None else tuple(grids)
     tasks, begins = [], []
     for o, name in enumerate(records[0].outputs):
         tell(f"searching the {'resonance' if resonance else 'lag'} of {name}")
         shape = AxisShape(resonance, lag)
-        full = AxisTask(quick, begun, plays, o, shape, delay_samples or 0, sensor or KnownSensor(), every)
+        full = AxisTask(quick, begun, plays, o, shape, delay_samples or 0, sensor or SensorModel(), every)
         task, x = _searched(full, closely=grids is not None)
         tasks.append(task)
         begins.append(x)
@@ -142,11 +142,11 @@ def refined_late(
 
 def checked_delay(
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     grids: Sequence[Array],
     guess: FirstGuess,
     *,
-    sensor: KnownSensor | None = None,
+    sensor: SensorModel | None = None,
 ) -> FirstGuess:
     """Guess with the delay that is best with all thresholds, to a part of a sample; unless it was given.
 
@@ -161,10 +161,10 @@ def checked_delay(
     """
     if not guess.free_delay:
         return guess
-    quick, begun = liveliest(records, starts, GUESS_SAMPLES)
+    quick, begun = most_dynamic_segment(records, starts, GUESS_SAMPLES)
     every, delay = thinning(quick), guess.delay_samples
     tasks = [
-        AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor or KnownSensor(), every)
+        AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor or SensorModel(), every)
         for o, shape in enumerate(guess.shapes)
     ]
     attempt = partial(refined_late, tasks)
@@ -175,7 +175,7 @@ def checked_delay(
 def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
     """Axis near the best one, and the task with few columns that it was found with."""
     shape = full.shape
-    task = full.mixed(alone(full, full.sensor_path)[0])
+    task = full.mixed(fit_slopes(full, full.sensor_path)[0])
     x = np.empty(0)
     for turn in range(SEARCH_TURNS):
         if shape.resonance:
@@ -187,7 +187,7 @@ def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
             )
         if shape.lag:
             x = search_lag(task, x[: 2 * shape.resonance]).x
-        task = full.mixed(alone(full, partial(full.path, x))[0])
+        task = full.mixed(fit_slopes(full, partial(full.path, x))[0])
     return task, refine(task, x).x
 
 
@@ -242,7 +242,7 @@ def ringing_hz(task: AxisTask) -> list[float]:
     """Frequencies at which what a static block leaves stands out of its neighbourhood, clearest first."""
     from scipy.signal import find_peaks, welch
 
-    slopes, _ = alone(task, task.sensor_path)
+    slopes, _ = fit_slopes(task, task.sensor_path)
     found: list[tuple[float, float]] = []
     for record, left in zip(task.records, residuals(task, task.sensor_path, slopes), strict=True):
         if len(left) < 2 * LEAST_WINDOW:

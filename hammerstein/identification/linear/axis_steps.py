@@ -71,7 +71,7 @@ def refined(task: AxisTask, x: Array, enough: float = ENOUGH) -> Iterator[Point]
     """The best place known after each step of ``refine``; who takes them may give the search up."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
-    here = _point(task, begin, alone(task, partial(task.path, begin))[0])
+    here = _point(task, begin, fit_slopes(task, partial(task.path, begin))[0])
     yield here
 
     def step(here: Point, damping: float) -> Point:
@@ -89,10 +89,10 @@ def refined(task: AxisTask, x: Array, enough: float = ENOUGH) -> Iterator[Point]
 
 def rms_behind(task: AxisTask, x: Array) -> float:
     """Rms of what is left with given parameters and the best slopes [um]."""
-    return alone(task, partial(task.path, x))[1]
+    return fit_slopes(task, partial(task.path, x))[1]
 
 
-def alone(task: AxisTask, path: Callable[[float], LinearBlock]) -> tuple[Array, float]:
+def fit_slopes(task: AxisTask, path: Callable[[float], LinearBlock]) -> tuple[Array, float]:
     """Slopes behind a fixed path, and the rms of what is left."""
     moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
     cross = moments.cross[:, 0]

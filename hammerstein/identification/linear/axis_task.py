@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
 from hammerstein.dynamics.models import StateMatrices
-from hammerstein.identification.known_sensor import KnownSensor
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
 from hammerstein.identification.static.regressors import (
     MOST_KEPT,
     Filter,
+    InitialState,
     PlayColumns,
     Regressors,
-    Start,
     behind_filters,
     delayed,
     regressor_blocks,
@@ -149,12 +149,12 @@ class AxisTask:
     """
 
     records: tuple[Record, ...]
-    starts: tuple[Start, ...]
+    starts: tuple[InitialState, ...]
     grids: tuple[Array, ...]
     output: int
     shape: AxisShape
     delay_samples: float
-    sensor: KnownSensor
+    sensor: SensorModel
     every: int = 1
     kept: tuple[Regressors, ...] = ()
 

@@ -17,7 +17,7 @@ from hammerstein.identification.linear.frequency_response import FrequencyRespon
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.score import begun
 from hammerstein.identification.static.normal_equations import Bounds, Moments, moments_of, pooled, solve
-from hammerstein.identification.static.regressors import Start, regressor_blocks
+from hammerstein.identification.static.regressors import InitialState, regressor_blocks
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
     SquaresSolver,
@@ -77,7 +77,7 @@ def behind_gain(block: LinearBlock, gain: Array) -> LinearBlock:
 
 def refit_linear(
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     hysteresis: PrandtlIshlinskii,
     order: int,
     progress: Callable[[str], None] | None = None,
@@ -134,7 +134,7 @@ def fit_static_coupled(
     records: Sequence[Record],
     thresholds_v: Thresholds,
     through: LinearBlock,
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     *,
     solver: SquaresSolver = "invertible",
     ridge: float = 0.0,
@@ -197,7 +197,7 @@ class _Joint(NamedTuple):
 
 
 def _moments(
-    records: Sequence[Record], starts: Sequence[Start], layout: SlopeColumns, through: LinearBlock
+    records: Sequence[Record], starts: Sequence[InitialState], layout: SlopeColumns, through: LinearBlock
 ) -> list[Moments]:
     """Moments of each output with the columns of all outputs of the static block."""
     p, columns = len(records[0].y_um), sum(map(len, layout.grids))
@@ -213,7 +213,7 @@ def _moments(
 
 
 def _blocks(
-    record: Record, start: Start, layout: SlopeColumns, filters: Sequence[ModalCopies], o: int
+    record: Record, start: InitialState, layout: SlopeColumns, filters: Sequence[ModalCopies], o: int
 ) -> Iterator[tuple[Array, Array]]:
     for k, x in regressor_blocks(record.u_v, start, layout.grids, filters):
         yield x, record.y_um[[o], k : k + x.shape[1]]

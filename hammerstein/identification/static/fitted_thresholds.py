@@ -49,11 +49,11 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
     --------
     >>> from hammerstein.hysteresis import (Pair, PrandtlIshlinskii)
     >>> from hammerstein.records.record import Record
-    >>> from hammerstein.identification.static.regressors import Start
+    >>> from hammerstein.identification.static.regressors import InitialState
     >>> u = 4.0 * np.sin(np.linspace(0.0, 20.0, 2000))
     >>> truth = PrandtlIshlinskii([[Pair([0.3, 1.7], [3.0, 1.0])]])
     >>> record = Record([u], truth.respond([u])[0], 1e-3)
-    >>> fit_thresholds(ThresholdTask([record], [Start("rest")]), [np.array([1.0, 2.0])])[0].round(6)
+    >>> fit_thresholds(ThresholdTask([record], [InitialState("rest")]), [np.array([1.0, 2.0])])[0].round(6)
     array([0.3, 1.7])
     """
     here = place_at(task, tuple(grids))

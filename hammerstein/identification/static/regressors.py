@@ -43,7 +43,7 @@ class Filter(Protocol):
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialState:
     """What is known of the actuator before the first sample.
 
     Parameters
@@ -81,7 +81,7 @@ class Start:
         return np.asarray(np.maximum(first_v - r, np.minimum(first_v + r, held)))
 
 
-def delayed(record: Record, start: Start, samples: int) -> Array:
+def delayed(record: Record, start: InitialState, samples: int) -> Array:
     """Voltages (input, sample) late by whole samples; before the record the actuator is as ``start`` says."""
     if samples == 0:
         return record.u_v
@@ -97,7 +97,7 @@ def delayed(record: Record, start: Start, samples: int) -> Array:
 
 def regressor_blocks(
     u_v: Array,
-    start: Start,
+    start: InitialState,
     grids: Sequence[Array],
     filters: Sequence[Filter] = (),
     *,
@@ -132,7 +132,7 @@ class PlayColumns(NamedTuple):
 
     @classmethod
     def of(
-        cls, u_v: Array, start: Start, grids: Sequence[Array], with_derivatives: bool = False
+        cls, u_v: Array, start: InitialState, grids: Sequence[Array], with_derivatives: bool = False
     ) -> PlayColumns:
         """Columns that are made when asked for, those before the record first."""
         each = enumerate(zip(u_v, grids, strict=True))
@@ -159,7 +159,7 @@ class PlayColumns(NamedTuple):
 
 
 def behind_filters(
-    columns: PlayColumns, start: Start, filters: Sequence[Filter]
+    columns: PlayColumns, start: InitialState, filters: Sequence[Filter]
 ) -> Iterator[tuple[int, Array]]:
     """First sample and rows of each block from ``start.first`` on; see ``regressor_blocks``."""
     states = [block.settled(columns.held) for block in filters]
@@ -199,7 +199,7 @@ class Regressors:
     held: Array
 
     @classmethod
-    def of(cls, u_v: Array, start: Start, grids: Sequence[Array], rows: Array) -> Regressors:
+    def of(cls, u_v: Array, start: InitialState, grids: Sequence[Array], rows: Array) -> Regressors:
         """Sums ``rows`` (column, regressor) of the differences of the plays."""
         whole = replace(start, first=0)
         values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, whole, grids)])
@@ -212,7 +212,7 @@ class Regressors:
         return np.asarray(self.values.any(axis=1) | (self.held != 0.0))
 
     def blocks(
-        self, start: Start, delay_samples: int, filters: Sequence[Filter]
+        self, start: InitialState, delay_samples: int, filters: Sequence[Filter]
     ) -> Iterator[tuple[int, Array]]:
         """First sample and rows of each block from ``start.first`` on, behind the filters and a delay."""
         values = np.roll(self.values, delay_samples, axis=1) if delay_samples else self.values

@@ -26,9 +26,9 @@ from hammerstein.identification.static.normal_equations import (
 )
 from hammerstein.identification.static.regressors import (
     MOST_KEPT,
+    InitialState,
     PlayColumns,
     SideBySide,
-    Start,
     behind_filters,
     channel,
     delayed,
@@ -106,7 +106,7 @@ def fit_static(
     thresholds_v: Thresholds,
     *,
     solver: SquaresSolver = "invertible",
-    starts: Sequence[Start] = (),
+    starts: Sequence[InitialState] = (),
     delay_samples: int = 0,
     through: LinearBlock | Sequence[LinearBlock] | None = None,
     ridge: float = 0.0,
@@ -146,7 +146,7 @@ def fit_static(
     """
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(records, layout.grids)
-    begun = tuple(starts) or (Start("rest"),) * len(records)
+    begun = tuple(starts) or (InitialState("rest"),) * len(records)
     moments = static_moments(records, layout.grids, begun, delay_samples, through)
     return solve_static(records, thresholds_v, layout, moments, solver, ridge)
 
@@ -154,7 +154,7 @@ def fit_static(
 def static_moments(
     records: Sequence[Record],
     grids: Sequence[Array],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     delay_samples: int = 0,
     through: LinearBlock | Sequence[LinearBlock] | None = None,
     *,
@@ -197,7 +197,7 @@ def path_filters(
 
 def _record_moments(
     record: Record,
-    start: Start,
+    start: InitialState,
     plays: Callable[[], PlayColumns],
     filters: Sequence[list[SideBySide]],
     columns: int,

@@ -25,7 +25,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing, static_moments
 from hammerstein.identification.static.threshold_exchange import LEAST_GAP, price
 from hammerstein.records.record import Record
@@ -55,7 +55,7 @@ class ThresholdTask:
     """
 
     records: Sequence[Record]
-    starts: Sequence[Start]
+    starts: Sequence[InitialState]
     delay_samples: int = 0
     through: Sequence[LinearBlock] = ()
     every: int = 1

@@ -15,7 +15,7 @@ from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import SAME_SWING, widest_cycle
 from hammerstein.records.record import Record
@@ -148,7 +148,7 @@ def _slowest_cycle(fit: Fit, k: int, alone: bool) -> tuple[int, slice] | None:
     return max(alike, key=lambda one: one[1].stop - one[1].start)
 
 
-def residual_figure(fit: Fit, record: Record, start: Start) -> Figure:
+def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:
     """What the kept model leaves over time, and all of them over frequency, one row for each output.
 
     The kept model is the solid line, the others are broken.

@@ -9,7 +9,7 @@ from test_second_order import AXES, SENSOR_HZ, R, T, campaign, record_of
 
 from hammerstein.comparison.compare import compare
 from hammerstein.identification.identify import identify
-from hammerstein.identification.known_sensor import KnownSensor
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.fit_page import fit_page
@@ -83,7 +83,7 @@ def test_static_plays_see_whole_samples_and_parts():
 def test_a_period_goes_on_at_its_beginning():
     u = np.sin(2.0 * np.pi * np.arange(200) / 100.0)
     record = Record([u], [np.roll(2.0 * u, 3)], 1e-3, period_samples=100)
-    prompt = KnownSensor(delay_s=3e-3).prompt(record)
+    prompt = SensorModel(delay_s=3e-3).prompt(record)
     assert prompt.samples == 200
     assert np.array_equal(prompt.y_um, 2.0 * prompt.u_v)
 

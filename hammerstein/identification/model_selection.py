@@ -20,7 +20,7 @@ from hammerstein.dynamics import (
 from hammerstein.identification.score import Candidate, columns_of, ranges
 from hammerstein.identification.static.folds import FOLDS, PARTS, moments_of_folds, refitted
 from hammerstein.identification.static.normal_equations import Moments, pooled, squares_left
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record
 
@@ -154,7 +154,7 @@ def trial_of(
     name: str,
     candidate: Candidate,
     records: Sequence[Record],
-    starts: Sequence[Start],
+    starts: Sequence[InitialState],
     *,
     invertible: bool,
     told: bool = True,
@@ -192,7 +192,7 @@ def is_stable(dynamics: Dynamics, sample_time_s: float) -> bool:
     return bool((np.abs(np.linalg.eigvals(block.A)) < 1.0).all())
 
 
-def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Array:
     """Squared errors (record and fold,) where the weights were fitted to the other folds of the same records.
 
     Each record falls into 16 parts, every fourth of which is one fold: cycles of an experiment lie on
@@ -226,7 +226,11 @@ def _left(test: Moments, weights: Array) -> float:
 
 
 def moments_of_output(
-    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], o: int, parts: int = PARTS
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[InitialState],
+    o: int,
+    parts: int = PARTS,
 ) -> list[Mapping[int, Moments]]:
     """Moments of each fold of each record with the columns of one output behind its path."""
     p, n = len(records[0].y_um), len(candidate.hysteresis.weights[o])
@@ -241,7 +245,9 @@ def moments_of_output(
     return found
 
 
-def _unfitted_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> Array:
+def _unfitted_squares(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
+) -> Array:
     """Squared errors (record and fold,) of a model as it is."""
     span, found = ranges(records, starts), []
     for record, start in zip(records, starts, strict=True):

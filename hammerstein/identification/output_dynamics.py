@@ -17,7 +17,6 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.hysteresis import Hysteresis
-from hammerstein.identification.choice import FELT
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_search import (
     CREEP_SPANS,
@@ -36,6 +35,7 @@ from hammerstein.identification.linear.axis_task import (
     parameters_of,
 )
 from hammerstein.identification.linear.delay import TINY, best_delay
+from hammerstein.identification.model_selection import FELT
 from hammerstein.identification.score import columns_of
 from hammerstein.identification.static.regressors import Regressors
 from hammerstein.identification.task import Task
@@ -55,7 +55,7 @@ which a search begins, and with which it decides: with it a number of fours, whi
 fit has them all."""
 
 
-class Behind(NamedTuple):
+class OutputDynamics(NamedTuple):
     """The axes found behind a block, the delay [samples], and what is known of the axes at their best."""
 
     axes: tuple[Axis, ...]
@@ -73,7 +73,9 @@ class Behind(NamedTuple):
         return all(axis == Axis() for axis in self.axes)
 
 
-def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_delay: bool = False) -> Behind:
+def search_output_dynamics(
+    task: Task, hysteresis: Hysteresis[Any], begin: OutputDynamics, free_delay: bool = False
+) -> OutputDynamics:
     """Axes behind a block whose weights are free.
 
     A low-pass, a resonance and slow modes are added to an axis one after the other, each time what lowers the
@@ -102,7 +104,7 @@ def search_behind(task: Task, hysteresis: Hysteresis[Any], begin: Behind, free_d
     if free_delay and all(len(x) for x in begins):
         task.progress("estimating the delay")
         delay, begins = _delay(many, few, delay, begins)
-    return Behind(tuple(_nearer(one, x, delay) for one, x in zip(whole, begins, strict=True)), delay)
+    return OutputDynamics(tuple(_nearer(one, x, delay) for one, x in zip(whole, begins, strict=True)), delay)
 
 
 def _nearer(one: AxisTask, x: Array, delay: float) -> Axis:
@@ -126,7 +128,7 @@ def _delay(
     return best_delay(attempt, found, first=float(round(near)), parts=True)
 
 
-def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behind:
+def sure_output_dynamics(task: Task, hysteresis: Hysteresis[Any], found: OutputDynamics) -> OutputDynamics:
     """The axes at their best, without what the records do not tell of them, behind the same block."""
     late = replace(task, delay_samples=found.delay_samples)
     fits = []
@@ -137,7 +139,7 @@ def sure_behind(task: Task, hysteresis: Hysteresis[Any], found: Behind) -> Behin
         one = replace(one, shape=shape)
         fit = found.fits[o] if found.fits else fit_axis(one, x)
         fits.append(_sure(one, fit, asked=task.settings.creep_modes != "auto"))
-    return Behind(tuple(fit.axis for fit in fits), found.delay_samples, tuple(fits))
+    return OutputDynamics(tuple(fit.axis for fit in fits), found.delay_samples, tuple(fits))
 
 
 def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:

@@ -11,7 +11,7 @@ from hammerstein.plugins import load_plugins
 Partition = Literal["auto", "time", "voltage", "fitted"]
 Solver = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
-StartMode = Literal["auto", "rest", "repeated"]
+InitialStateMode = Literal["auto", "rest", "repeated"]
 MOST_DEAD_ZONES = 50
 """Most that are taken of an input."""
 PLAYS = "prandtl_ishlinskii"

@@ -14,7 +14,7 @@ from hammerstein.records.record import Record
 
 
 @dataclass(frozen=True)
-class KnownSensor:
+class SensorModel:
     """Sensor whose readings lag and come late by what is known.
 
     A reading that is late by so many samples and a part of one is that of voltages as late: whole samples are
@@ -46,7 +46,7 @@ class KnownSensor:
         --------
         >>> u = np.sin(np.linspace(0.0, 12.0, 300))
         >>> late = Record([u[2:]], [u[:-2]], 1e-3)
-        >>> prompt = KnownSensor(delay_s=2.3e-3).prompt(late)
+        >>> prompt = SensorModel(delay_s=2.3e-3).prompt(late)
         >>> prompt.samples, bool((prompt.u_v == prompt.y_um).all()), prompt.rows[:2]
         (296, True, array([3, 4]))
         """

@@ -22,16 +22,16 @@ from hammerstein.hysteresis import (
     RateDependent,
     RatePlays,
 )
-from hammerstein.identification.behind import _sure
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import several_rates
-from hammerstein.identification.known_sensor import KnownSensor
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
+from hammerstein.identification.output_dynamics import _sure
 from hammerstein.identification.rates import rates_of_input
 from hammerstein.identification.score import Candidate
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.verdict import axis_statements
 from hammerstein.records.record import Record
 
@@ -193,9 +193,9 @@ def test_a_record_that_begins_after_a_turn_is_predicted_as_the_end_of_a_longer_o
     after = 2.0 + 3.0 * np.sin(np.arange(600) / 40.0)
     axis = AxesDynamics(axes=(Axis(lag_s=2e-3),))
     longer = Record([np.append(before, after)], [np.append(before, after)], T)
-    whole = Candidate(block, axis).predict(longer, Start("rest"))
+    whole = Candidate(block, axis).predict(longer, InitialState("rest"))
     part = Record([after], [after], T)
-    said = Candidate(block, axis).predict(part, Start("turned", 0, ((0.0, 9.0),)))
+    said = Candidate(block, axis).predict(part, InitialState("turned", 0, ((0.0, 9.0),)))
     np.testing.assert_allclose(said, whole[:, len(before) :], atol=1e-3)
 
 
@@ -330,7 +330,7 @@ def test_a_resonance_that_is_left_out_says_nothing_of_creep():
     u = 8.0 * np.sin(2.0 * np.pi * 10.0 * t)[None]
     y = discretise(AxesDynamics(axes=(Axis(creep=(slow,)),)), T).respond(static_um("asymmetric", u))[0]
     record = Record(u, y + 0.005 * np.random.default_rng(1).standard_normal(y.shape), T)
-    task = AxisTask((record,), (Start("rest"),), (R,), 0, AxisShape(creep_modes=1), 0.0, KnownSensor())
+    task = AxisTask((record,), (InitialState("rest"),), (R,), 0, AxisShape(creep_modes=1), 0.0, SensorModel())
     x = np.array([np.log(2.0 * np.pi * 3000.0), np.log(0.5), 0.05, np.log(0.15)])
     fit = _sure(task, fit_axis(task, x), asked=False)
     assert fit.axis.resonance_hz is None
@@ -351,7 +351,7 @@ def test_creep_goes_on_the_way_of_the_displacement():
     u = np.where(t < 0.5, 5.0, 5.0 * np.cos(20.0 * np.pi * (t - 0.5)))[None]
     y = static_um("asymmetric", u) + 8.0 * np.exp(-t / 0.1)
     task = AxisTask(
-        (Record(u, y, T),), (Start("rest"),), (R,), 0, AxisShape(False, True, 1), 0.0, KnownSensor()
+        (Record(u, y, T),), (InitialState("rest"),), (R,), 0, AxisShape(False, True, 1), 0.0, SensorModel()
     )
     fit = fit_axis(task, np.array([np.log(1e-3), 0.02, np.log(0.1)]))
     assert 0.0 <= fit.axis.creep[0].gain <= 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hammerstein.identification.leftover import _strongest
+from hammerstein.identification.residual_analysis import _strongest
 from hammerstein.records.record import Record
 
 T = 1e-3

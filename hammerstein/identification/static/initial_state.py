@@ -11,8 +11,8 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
-from hammerstein.identification.choices import StartMode
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.options import InitialStateMode
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.excitation import driven_inputs, moves_while_held, run_in
 from hammerstein.records.record import Record
 
@@ -47,7 +47,7 @@ ALIKE_FLOOR = 0.002
 """A start from rest is believed if it explains the beginning as well as the model explains the rest."""
 
 
-def cautious_start(record: Record) -> Start:
+def cautious_start(record: Record) -> InitialState:
     """Start that is safe before anything is known: periodic records as such, others without their beginning.
 
     Examples
@@ -57,11 +57,11 @@ def cautious_start(record: Record) -> Start:
     Start(kind='repeated', first=151, turn_v=(), held=0)
     """
     if record.period_samples is not None or closed(record):
-        return Start("repeated")
+        return InitialState("repeated")
     first = run_in(record)
     if first > KEPT_SHARE * record.samples:
-        return Start("rest")
-    return Start("repeated", first + round(CAUTION * (record.samples - first)))
+        return InitialState("rest")
+    return InitialState("repeated", first + round(CAUTION * (record.samples - first)))
 
 
 def closed(record: Record) -> bool:
@@ -75,12 +75,12 @@ def closed(record: Record) -> bool:
 
 def judged_starts(
     records: Sequence[Record],
-    predict: Callable[[Record, Start], Array],
+    predict: Callable[[Record, InitialState], Array],
     settle_s: float,
-    mode: StartMode = "auto",
-    simpler: Sequence[Callable[[Record, Start], Array]] = (),
+    mode: InitialStateMode = "auto",
+    simpler: Sequence[Callable[[Record, InitialState], Array]] = (),
     slow_s: float = 0.0,
-) -> tuple[Start, ...]:
+) -> tuple[InitialState, ...]:
     """Start of each record, with a model at hand: the one that leaves the least error.
 
     A beginning that no start explains is left out. Where one of the ``simpler`` models explains it as well as
@@ -97,17 +97,17 @@ def judged_starts(
     slow_s : time constant of the model's creep, which may have been under way; 0: it has none [s]
     """
     if mode == "rest":
-        return (Start("rest"),) * len(records)
+        return (InitialState("rest"),) * len(records)
     return tuple(_judged(record, predict, settle_s, mode, simpler, slow_s) for record in records)
 
 
 def own_starts(
     records: Sequence[Record],
-    starts: Sequence[Start],
-    predict: Callable[[Record, Start], Array],
-    mode: StartMode = "auto",
+    starts: Sequence[InitialState],
+    predict: Callable[[Record, InitialState], Array],
+    mode: InitialStateMode = "auto",
     slow_s: float = 0.0,
-) -> tuple[Start, ...]:
+) -> tuple[InitialState, ...]:
     """Start of each record that suits one model, on the samples that count for all of them.
 
     starts : as another model explains the records best; predict : readings that the model predicts
@@ -119,12 +119,14 @@ def own_starts(
     return tuple(_own(record, start, predict, slow_s) for record, start in each)
 
 
-def _own(record: Record, start: Start, predict: Callable[[Record, Start], Array], slow_s: float) -> Start:
+def _own(
+    record: Record, start: InitialState, predict: Callable[[Record, InitialState], Array], slow_s: float
+) -> InitialState:
     if record.period_samples is not None or (start.kind == "repeated" and closed(record)):
         return start
     choices = dict.fromkeys([start, *(replace(_of_kind(kind, record), first=start.first) for kind in KINDS)])
 
-    def left(choice: Start) -> float:
+    def left(choice: InitialState) -> float:
         error = (record.y_um - predict(record, choice))[:, start.first :]
         span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
         return float(np.mean((error / span[:, None]).var(axis=1)))
@@ -139,19 +141,19 @@ def _own(record: Record, start: Start, predict: Callable[[Record, Start], Array]
 
 def _judged(
     record: Record,
-    predict: Callable[[Record, Start], Array],
+    predict: Callable[[Record, InitialState], Array],
     settle_s: float,
-    mode: StartMode,
-    simpler: Sequence[Callable[[Record, Start], Array]],
+    mode: InitialStateMode,
+    simpler: Sequence[Callable[[Record, InitialState], Array]],
     slow_s: float,
-) -> Start:
+) -> InitialState:
     """Start with the least error; what is left out of the record if none explains its beginning."""
     cautious = cautious_start(record)
     if record.period_samples is not None or (mode == "repeated" and closed(record)):
         return cautious
     begun = run_in(record)
     ring = min(round(settle_s / record.sample_time_s), max(cautious.first - begun, 0))
-    forgotten = cautious if cautious == Start("repeated") else Start("repeated", begun + ring)
+    forgotten = cautious if cautious == InitialState("repeated") else InitialState("repeated", begun + ring)
     short = forgotten.first > KEPT_SHARE * record.samples
     if mode == "repeated":
         return cautious if short else forgotten
@@ -180,13 +182,15 @@ def _around(error: Array, begun: int, first: int) -> tuple[Array, Array]:
     )
 
 
-def _least(record: Record, predict: Callable[[Record, Start], Array], slow_s: float = 0.0) -> Start:
+def _least(
+    record: Record, predict: Callable[[Record, InitialState], Array], slow_s: float = 0.0
+) -> InitialState:
     """Of all that may have gone before, what leaves the least error; a simpler past is preferred."""
     left = partial(_left, record, predict)
     order = ("stepped", "rest", "virgin") if moves_while_held(record) else ("rest", "virgin", "stepped")
     choices = [_of_kind(kind, record) for kind in order]
     if closed(record):
-        choices.insert(0, Start("repeated"))
+        choices.insert(0, InitialState("repeated"))
     errors = [left(start) for start in choices]
     best = next(i for i, error in enumerate(errors) if error <= (1.0 + WORTH) * min(errors))
     least, start = errors[best], choices[best]
@@ -197,20 +201,20 @@ def _least(record: Record, predict: Callable[[Record, Start], Array], slow_s: fl
     return start
 
 
-def _left(record: Record, predict: Callable[[Record, Start], Array], start: Start) -> float:
+def _left(record: Record, predict: Callable[[Record, InitialState], Array], start: InitialState) -> float:
     """Mean squared error of a whole record in parts of its ranges, whatever the start leaves out."""
     span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
     error = (record.y_um - predict(record, start)) / span[:, None]
     return float(np.mean(error.var(axis=1)))
 
 
-def _turned(record: Record, left: Callable[[Start], float]) -> tuple[Start, float]:
+def _turned(record: Record, left: Callable[[InitialState], float]) -> tuple[InitialState, float]:
     """Voltages in the record's range at which the inputs turned last before it, and the error with them."""
     low, high = record.u_v.min(axis=1), record.u_v.max(axis=1)
     middle, driven = 0.5 * (low + high), driven_inputs(record)
 
-    def start(turn: Array) -> Start:
-        return Start("turned", 0, tuple(zip(middle.tolist(), turn.tolist(), strict=True)))
+    def start(turn: Array) -> InitialState:
+        return InitialState("turned", 0, tuple(zip(middle.tolist(), turn.tolist(), strict=True)))
 
     turn = record.u_v[:, 0].copy()
     least = np.inf
@@ -227,8 +231,8 @@ def _turned(record: Record, left: Callable[[Start], float]) -> tuple[Start, floa
 
 
 def _creeping(
-    record: Record, left: Callable[[Start], float], slow_s: float, first: int = 0
-) -> tuple[Start, float]:
+    record: Record, left: Callable[[InitialState], float], slow_s: float, first: int = 0
+) -> tuple[InitialState, float]:
     """How long before the record it stepped from an end of its range, while that still creeps; the error.
 
     What is still to come of the creep, exp(-t / slow_s) after the time t, enters the readings linearly: its
@@ -236,10 +240,10 @@ def _creeping(
     """
     time = slow_s / record.sample_time_s
 
-    def start(end: str, part: float) -> Start:
+    def start(end: str, part: float) -> InitialState:
         return replace(stepped_from(end, record, round(-time * math.log(part))), first=first)
 
-    tried: dict[Start, float] = {}
+    tried: dict[InitialState, float] = {}
     for end in ENDS:
         errors = [left(start(end, part)) for part in PARTS_LEFT]
         curved, slope, _ = np.polyfit(PARTS_LEFT, errors, 2)
@@ -249,9 +253,9 @@ def _creeping(
     return min(tried.items(), key=lambda one: one[1])
 
 
-def stepped_from(end: str, record: Record, samples: int) -> Start:
+def stepped_from(end: str, record: Record, samples: int) -> InitialState:
     """Start of a record that stepped from an end of its range, so many samples before."""
-    return Start("stepped", 0, _of_kind(end, record).turn_v, max(samples, 1))
+    return InitialState("stepped", 0, _of_kind(end, record).turn_v, max(samples, 1))
 
 
 def decays(error: Array) -> bool:
@@ -275,12 +279,12 @@ def decays(error: Array) -> bool:
     return False
 
 
-def alike_starts(records: Sequence[Record]) -> dict[str, tuple[Start, ...]]:
+def alike_starts(records: Sequence[Record]) -> dict[str, tuple[InitialState, ...]]:
     """Ways in which all records may have begun alike; periodic ones are always repeated."""
 
-    def all_of(kind: str) -> tuple[Start, ...]:
+    def all_of(kind: str) -> tuple[InitialState, ...]:
         return tuple(
-            Start("repeated") if record.period_samples is not None else _of_kind(kind, record)
+            InitialState("repeated") if record.period_samples is not None else _of_kind(kind, record)
             for record in records
         )
 
@@ -289,27 +293,27 @@ def alike_starts(records: Sequence[Record]) -> dict[str, tuple[Start, ...]]:
     return cautious | others if all(closed(record) for record in records) else others | cautious
 
 
-def _of_kind(kind: str, record: Record) -> Start:
+def _of_kind(kind: str, record: Record) -> InitialState:
     zero_v = (-record.rest_v).tolist()  # where the amplifier gives none
     if kind == "rest" or (not record.rest_v.any() and kind in ("virgin", "stepped")):
-        return Start("rest")
+        return InitialState("rest")
     if kind == "virgin" and moves_while_held(record):
         return _of_kind("stepped", record)
     if kind == "virgin":  # driven from 0 V to the first voltage for the first time, and held there
-        return Start("turned", 0, tuple(zip(zero_v, record.u_v[:, 0].tolist(), strict=True)))
+        return InitialState("turned", 0, tuple(zip(zero_v, record.u_v[:, 0].tolist(), strict=True)))
     if kind == "stepped":
-        return Start("stepped", 0, tuple(zip(zero_v, zero_v, strict=True)))
+        return InitialState("stepped", 0, tuple(zip(zero_v, zero_v, strict=True)))
     low, high = record.u_v.min(axis=1), record.u_v.max(axis=1)
     turn = low if kind == "low" else high
-    return Start("turned", 0, tuple(zip((0.5 * (low + high)).tolist(), turn.tolist(), strict=True)))
+    return InitialState("turned", 0, tuple(zip((0.5 * (low + high)).tolist(), turn.tolist(), strict=True)))
 
 
 def found_starts(
     records: Sequence[Record],
-    fit: Callable[[Sequence[Start]], Callable[[Record, Start], Array]],
+    fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
     settle_s: float,
-    mode: StartMode = "auto",
-) -> tuple[Start, ...]:
+    mode: InitialStateMode = "auto",
+) -> tuple[InitialState, ...]:
     """Start of each record, found together with a model.
 
     A model is fitted for every way in which all records may have begun alike; from the best of them on, each
@@ -326,7 +330,7 @@ def found_starts(
     ways = alike_starts(records)
     if mode != "auto":
         return judged_starts(records, fit(ways["cautious"]), settle_s, mode)
-    tried: dict[tuple[Start, ...], float] = {}
+    tried: dict[tuple[InitialState, ...], float] = {}
     for starts in ways.values():
         if starts not in tried:
             tried[starts] = _error_of(records, starts, fit)
@@ -342,10 +346,10 @@ def found_starts(
 
 def each_alone(
     records: Sequence[Record],
-    starts: tuple[Start, ...],
-    fit: Callable[[Sequence[Start]], Callable[[Record, Start], Array]],
+    starts: tuple[InitialState, ...],
+    fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
     numbers: Sequence[int],
-) -> tuple[Start, ...]:
+) -> tuple[InitialState, ...]:
     """One record after the other may have begun otherwise, if the model fitted then leaves less of all.
 
     numbers : of the records that may
@@ -367,7 +371,7 @@ def each_alone(
     return starts
 
 
-def unexplained(records: Sequence[Record], starts: Sequence[Start]) -> list[int]:
+def unexplained(records: Sequence[Record], starts: Sequence[InitialState]) -> list[int]:
     """Records of which no start explains the beginning, which was left out instead."""
     return [
         i
@@ -378,8 +382,8 @@ def unexplained(records: Sequence[Record], starts: Sequence[Start]) -> list[int]
 
 def _error_of(
     records: Sequence[Record],
-    starts: tuple[Start, ...],
-    fit: Callable[[Sequence[Start]], Callable[[Record, Start], Array]],
+    starts: tuple[InitialState, ...],
+    fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
 ) -> float:
     """Mean squared error of whole records that begin so; infinite where no model can be fitted.
 
@@ -394,7 +398,9 @@ def _error_of(
 
 
 def whole_error(
-    records: Sequence[Record], starts: Sequence[Start], predict: Callable[[Record, Start], Array]
+    records: Sequence[Record],
+    starts: Sequence[InitialState],
+    predict: Callable[[Record, InitialState], Array],
 ) -> float:
     """Mean squared error of whole records in parts of their ranges, whatever the starts leave out."""
     parts = [_left(record, predict, start) for record, start in zip(records, starts, strict=True)]
@@ -402,8 +408,8 @@ def whole_error(
 
 
 def shortened(
-    records: Sequence[Record], starts: Sequence[Start], samples: int
-) -> tuple[tuple[Record, ...], tuple[Start, ...]]:
+    records: Sequence[Record], starts: Sequence[InitialState], samples: int
+) -> tuple[tuple[Record, ...], tuple[InitialState, ...]]:
     """Beginnings of the records with a given number of samples in all, for what must be quick.
 
     Longer ones of the records that show how far each input swings: a threshold that is engaged in the whole
@@ -432,9 +438,9 @@ def _swung(records: Sequence[Record]) -> Array:
     return needed
 
 
-def liveliest(
-    records: Sequence[Record], starts: Sequence[Start], samples: int
-) -> tuple[tuple[Record, ...], tuple[Start, ...]]:
+def most_dynamic_segment(
+    records: Sequence[Record], starts: Sequence[InitialState], samples: int
+) -> tuple[tuple[Record, ...], tuple[InitialState, ...]]:
     """Parts of the records, with a given number of samples in all, that show most of the dynamics.
 
     The part of each in which the outputs move fastest, where that is clearly faster than its beginning: slow
@@ -442,13 +448,13 @@ def liveliest(
     """
     most = max(samples // len(records), FEWEST)
     pairs = [
-        _cut(record, start, most, _liveliest(record, most))
+        _cut(record, start, most, _most_dynamic(record, most))
         for record, start in zip(records, starts, strict=True)
     ]
     return tuple(record for record, _ in pairs), tuple(start for _, start in pairs)
 
 
-def _liveliest(record: Record, most: int) -> int:
+def _most_dynamic(record: Record, most: int) -> int:
     """First of so many samples in which the outputs move fastest."""
     if record.samples <= most or record.period_samples is not None:
         return 0
@@ -460,7 +466,7 @@ def _liveliest(record: Record, most: int) -> int:
     return fastest if power[fastest] > FASTER * power[0] else 0
 
 
-def _cut(record: Record, start: Start, most: int, first: int = 0) -> tuple[Record, Start]:
+def _cut(record: Record, start: InitialState, most: int, first: int = 0) -> tuple[Record, InitialState]:
     """So many samples of a record from a given one on; a later part begins as if it were repeated.
 
     So does one that would be over before anything in it counts.
@@ -470,4 +476,4 @@ def _cut(record: Record, start: Start, most: int, first: int = 0) -> tuple[Recor
     part = record.part(first, first + most)
     if not first and start.kind != "repeated" and start.first <= most // 2:
         return part, start
-    return part, Start("repeated", min(run_in(part), most // 2))
+    return part, InitialState("repeated", min(run_in(part), most // 2))

@@ -8,10 +8,10 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
-from hammerstein.identification.choices import PLAYS
+from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
@@ -31,8 +31,8 @@ OF_A_CREEPING_MODEL = (
 )
 
 
-def leftover_statements(
-    candidate: Candidate, records: Sequence[Record], starts: Sequence[Start], settings: Settings
+def residual_statements(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState], settings: Settings
 ) -> list[str]:
     """Sentences about outputs of which far more than noise is left, with what to try; none if all is well.
 
@@ -60,7 +60,9 @@ def leftover_statements(
     return found
 
 
-def faults_left(candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> list[Fault]:
+def faults_left(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
+) -> list[Fault]:
     """Faults of the records, but drift and saturation only where the model leaves them."""
     named = [fault for record in records for fault in faults(record)]
     left = [fault for fault in named if _is_left(fault, candidate, records, starts)]
@@ -76,7 +78,9 @@ def is_flag(fault: Fault, records: Sequence[Record]) -> bool:
     return not 0.0 < fault.drift_um <= MOST_DRIFT * span
 
 
-def _is_left(fault: Fault, candidate: Candidate, records: Sequence[Record], starts: Sequence[Start]) -> bool:
+def _is_left(
+    fault: Fault, candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
+) -> bool:
     """Whether what was seen in a record is there still beside the model.
 
     Creep looks like drift to who knows plays alone, and so does the bend of dead-zones like saturation; a

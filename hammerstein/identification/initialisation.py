@@ -10,7 +10,6 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
-from hammerstein.identification.choices import StartMode
 from hammerstein.identification.linear.axis_search import (
     FirstGuess,
     search_creep,
@@ -27,9 +26,10 @@ from hammerstein.identification.operators import (
     error_curve,
     input_grids,
 )
+from hammerstein.identification.options import InitialStateMode
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.history import (
+from hammerstein.identification.static.initial_state import (
     ENDS,
     TURN_WORTH,
     decays,
@@ -40,7 +40,7 @@ from hammerstein.identification.static.history import (
     whole_error,
 )
 from hammerstein.identification.static.normal_equations import Moments, pooled
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
     refuse_unreached,
@@ -62,7 +62,7 @@ FIRST_SAMPLES = 50_000
 """Operators and samples of the first model, which only tells how the records begin."""
 
 
-def start_mode(settings: Settings) -> StartMode:
+def start_mode(settings: Settings) -> InitialStateMode:
     """Without a model of how it rings, a start from rest cannot be told from the records."""
     return "repeated" if settings.dynamics == "state_space" and settings.start == "auto" else settings.start
 
@@ -74,15 +74,15 @@ def settle_s_of(guesses: Sequence[FirstGuess]) -> float:
 
 def _first_starts(
     records: tuple[Record, ...], settings: Settings, guess: FirstGuess | None = None
-) -> tuple[Start, ...]:
+) -> tuple[InitialState, ...]:
     """How the records begin, with quick models of the static block behind the axes guessed so far."""
     mode = start_mode(settings)
     if mode == "rest":
-        return (Start("rest"),) * len(records)
+        return (InitialState("rest"),) * len(records)
 
     models = _FirstModels(records, guess, settings)
 
-    def fit(starts: Sequence[Start]) -> Callable[[Record, Start], Array]:
+    def fit(starts: Sequence[InitialState]) -> Callable[[Record, InitialState], Array]:
         return models.fitted(starts).predict
 
     return found_starts(records, fit, guess.settle_s if guess else 0.0, mode)
@@ -98,9 +98,9 @@ class _FirstModels:
     records: tuple[Record, ...]
     guess: FirstGuess | None
     settings: Settings
-    gathered: dict[tuple[int, Start], list[Moments]] = field(default_factory=dict)
+    gathered: dict[tuple[int, InitialState], list[Moments]] = field(default_factory=dict)
 
-    def fitted(self, starts: Sequence[Start]) -> Candidate:
+    def fitted(self, starts: Sequence[InitialState]) -> Candidate:
         """Return the model for records that begin in given ways."""
         task = self._task(starts)
         dynamics = self.guess.dynamics() if self.guess else StaticDynamics(n_outputs=task.outputs)
@@ -119,7 +119,7 @@ class _FirstModels:
         found = solve_static(task.records, task.thresholds_v, layout, moments, "least_squares")
         return task.candidate(found.hysteresis, dynamics)
 
-    def _task(self, starts: Sequence[Start]) -> Task:
+    def _task(self, starts: Sequence[InitialState]) -> Task:
         """Beginnings of the records with thresholds and delay of a first look."""
         quick, begun = shortened(self.records, starts, FIRST_SAMPLES)
         delay = self.guess.delay_samples if self.guess else self.settings.delay_samples or 0
@@ -166,7 +166,10 @@ def first_task(
 
 
 def _left_by(
-    records: tuple[Record, ...], guess: FirstGuess | None, settings: Settings, starts: tuple[Start, ...]
+    records: tuple[Record, ...],
+    guess: FirstGuess | None,
+    settings: Settings,
+    starts: tuple[InitialState, ...],
 ) -> float:
     """Mean squared error that a quick model leaves of whole records, in parts of their ranges."""
     return whole_error(records, starts, _FirstModels(records, guess, settings).fitted(starts).predict)
@@ -174,11 +177,11 @@ def _left_by(
 
 def creeping_starts(
     records: tuple[Record, ...],
-    starts: tuple[Start, ...],
+    starts: tuple[InitialState, ...],
     guess: FirstGuess,
     settings: Settings,
     tell: Progress,
-) -> tuple[Start, ...]:
+) -> tuple[InitialState, ...]:
     """Starts of records that began while an earlier step still crept, found in turn with a slow mode.
 
     As they were, where nothing decays in what is left of any record, or where a slow mode in records that
@@ -204,7 +207,9 @@ def creeping_starts(
     return begun if least**2 < (1.0 - TURN_WORTH) * settled**2 else starts
 
 
-def _all_stepped_from(end: str, records: Sequence[Record], starts: Sequence[Start]) -> tuple[Start, ...]:
+def _all_stepped_from(
+    end: str, records: Sequence[Record], starts: Sequence[InitialState]
+) -> tuple[InitialState, ...]:
     """Starts a fifth of a record after a step from one end of the range; those in motion as they are."""
     return tuple(
         start
@@ -215,7 +220,7 @@ def _all_stepped_from(end: str, records: Sequence[Record], starts: Sequence[Star
 
 
 def _creeping_guess(
-    records: tuple[Record, ...], starts: tuple[Start, ...], guess: FirstGuess, settings: Settings
+    records: tuple[Record, ...], starts: tuple[InitialState, ...], guess: FirstGuess, settings: Settings
 ) -> tuple[float, FirstGuess]:
     """Axes with a slow mode near those of a guess, and before them the geometric mean of what they leave."""
     grids, every = uniform_grids(records, FIRST_OPERATORS), thinning(records)
@@ -230,7 +235,7 @@ def _creeping_guess(
 
 
 def _static_delay(
-    records: tuple[Record, ...], starts: tuple[Start, ...], settings: Settings, tell: Progress
+    records: tuple[Record, ...], starts: tuple[InitialState, ...], settings: Settings, tell: Progress
 ) -> int:
     """Delay that suits a model without dynamics, with thresholds that are not fitted yet."""
     if settings.dynamics == "state_space":

@@ -13,17 +13,17 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics
 from hammerstein.hysteresis import PrandtlIshlinskii
-from hammerstein.identification.choice import Trial
 from hammerstein.identification.excitation import excitation_statements
 from hammerstein.identification.fit import Fit, Kind
-from hammerstein.identification.leftover import faults_left, is_flag, leftover_statements
 from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.linear.delay import delay_in_samples
+from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.operators import CurvePoint
+from hammerstein.identification.residual_analysis import faults_left, is_flag, residual_statements
 from hammerstein.identification.score import Candidate, Score, ranges
-from hammerstein.identification.static.regressors import Start
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import direct_pairs, half_swing
-from hammerstein.identification.task import Built, Found, Task
+from hammerstein.identification.task import CandidateSet, FittedModel, Task
 from hammerstein.identification.verdict import (
     axis_statements,
     bound_notes,
@@ -46,7 +46,7 @@ class Errors(NamedTuple):
     fitted: dict[Kind, Score]
     judged: dict[Kind, Score]
     held: tuple[Record, ...]
-    held_starts: tuple[Start, ...]
+    held_starts: tuple[InitialState, ...]
     response: Array
     trials: tuple[Trial, ...]
 
@@ -60,9 +60,9 @@ def _left_out(records: Sequence[Record]) -> list[str]:
     ]
 
 
-def account(
+def fit_of(
     task: Task,
-    built: Built,
+    built: CandidateSet,
     curve: tuple[CurvePoint, ...],
     errors: Errors,
     voltages: Voltages,
@@ -74,7 +74,7 @@ def account(
     named = faults_left(best, task.records, task.starts)
     flags = _flags(task, built, named)
     where = (held, held_starts) if held else (task.records, task.starts)
-    leftover = leftover_statements(best, *where, settings)
+    residual = residual_statements(best, *where, settings)
     swing = half_swing(task.records)
     invertible, sentence = _invertible(task, best, voltages)
     return Fit(
@@ -109,7 +109,7 @@ def account(
         ),
         invertible=invertible,
         invertibility=sentence,
-        verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, leftover),
+        verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, residual),
         candidates=built.candidates,
         covariance=known,
         records=task.records,
@@ -117,7 +117,7 @@ def account(
     )
 
 
-def _bounds(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
+def _bounds(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str]:
     """Slopes that the inverse needs and the records would have otherwise."""
     settings, blocks = task.settings, built.best.blocks
     if settings.solver != "invertible" or settings.hysteresis != "prandtl_ishlinskii":
@@ -136,7 +136,7 @@ def _invertible(task: Task, best: Candidate, voltages: Voltages) -> tuple[bool, 
     return invertibility_of(block, best.dynamics, reached, record.sample_time_s, record.inputs)
 
 
-def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
+def _flags(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str]:
     """What spoils the records, and what a model of this kind cannot represent."""
     blocks, outputs = built.best.blocks, task.records[0].outputs
     spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
@@ -154,7 +154,9 @@ def _flags(task: Task, built: Built, named: Sequence[Fault]) -> list[str]:
     return flags
 
 
-def _unknown(task: Task, built: Built, response: Array, known: ParameterCovariance | None) -> list[str]:
+def _unknown(
+    task: Task, built: CandidateSet, response: Array, known: ParameterCovariance | None
+) -> list[str]:
     """What the excitation cannot tell."""
     record = task.records[0]
     sums = [
@@ -169,7 +171,7 @@ def _unknown(task: Task, built: Built, response: Array, known: ParameterCovarian
     return [*axes, *sums, *_open_places(task, built, known), *excitation_statements(task.records, response)]
 
 
-def _sure_axes(best: Found, known: ParameterCovariance | None) -> tuple[AxisFit, ...]:
+def _sure_axes(best: FittedModel, known: ParameterCovariance | None) -> tuple[AxisFit, ...]:
     """The axes with their errors beside all other parameters."""
     dynamics = best.candidate.dynamics
     if known is None or not isinstance(dynamics, AxesDynamics) or len(best.axes) != len(dynamics.axes):
@@ -181,7 +183,7 @@ def _sure_axes(best: Found, known: ParameterCovariance | None) -> tuple[AxisFit,
     return tuple(fit.with_errors(own) if fit.axis == axis else fit for fit, axis, own in alike)
 
 
-def _open_places(task: Task, built: Built, known: ParameterCovariance | None) -> list[str]:
+def _open_places(task: Task, built: CandidateSet, known: ParameterCovariance | None) -> list[str]:
     """Fitted thresholds whose place the records leave open."""
     block = built.best.candidate.hysteresis
     if known is None or not isinstance(block, PrandtlIshlinskii):
