@@ -263,7 +263,7 @@ def _with_lag_and_creep(
 
     All outputs take the step together, and the static block, which is fitted anew, judges it: thresholds of
     plays and axes are found in turn here. Behind a block with given shapes, axes grow one by one instead; see
-    ``behind``.
+    ``output_dynamics``.
     """
     settings = task.settings
     tried: list[tuple[str, FittedModel]] = []

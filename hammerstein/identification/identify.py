@@ -14,7 +14,7 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.axes_candidates import build_axes
 from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
-from hammerstein.identification.fit_report import Errors, model_of
+from hammerstein.identification.fit_report import Errors, fit_of, model_of
 from hammerstein.identification.initialisation import first_task, settle_s_of, start_mode
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.linear.axis_search import FirstGuess
