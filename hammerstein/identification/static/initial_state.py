@@ -54,7 +54,7 @@ def cautious_start(record: Record) -> InitialState:
     --------
     >>> u = np.sin(2.0 * np.pi * np.arange(400) / 100)
     >>> cautious_start(Record([u], [5.0 * u], 1e-3))
-    Start(kind='repeated', first=151, turn_v=(), held=0)
+    InitialState(kind='repeated', first=151, turn_v=(), held=0)
     """
     if record.period_samples is not None or closed(record):
         return InitialState("repeated")
