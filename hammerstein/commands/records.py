@@ -25,7 +25,6 @@ from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_
 from hammerstein.commands.watch import Spinner
 
 if TYPE_CHECKING:
-    from hammerstein.identification.fit import Fit
     from hammerstein.records.loops import Loop
 
 MOST_NAMED = 3
@@ -149,13 +148,13 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify a model from measured records and report its errors and limits."""
-    from hammerstein.commands.terminal_tables import gains_table, kept_aside
+    from hammerstein.commands.terminal_tables import fit_table, kept_aside
     from hammerstein.errors import InputError
     from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
     from hammerstein.quantities import LONGEST_NAME
-    from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, fit_json, next_step, write_fit
+    from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, answer, fit_json, write_fit
     from hammerstein.runtime.storage.staging import prepare
 
     if hysteresis_in_loop:
@@ -172,7 +171,7 @@ def identify(
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS, overwrite)
     records, validation = recorded.read(), held.read(recorded)
-    gains = recorded.gains(records)
+    recorded.gains(records)
     with Spinner() as spinner:
         model, fit = identify_model(
             records,
@@ -188,10 +187,8 @@ def identify(
     if as_json:
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return
-    show(gains_table(gains))
-    _show_fit(fit)
-    tell(f"model in {out}, fit report in {folder}")
-    tell(" ".join(next_step(model, fit, asked)).strip())
+    show(fit_table(fit))
+    tell_statements(answer(model, fit, folder, asked))
 
 
 def _identify_in_loop(
@@ -220,16 +217,6 @@ def _identify_in_loop(
         return
     tell(fit.statement())
     tell(f"model in {out}")
-
-
-def _show_fit(fit: Fit) -> None:
-    """Print the errors, the verdict, and what else must be known of a model."""
-    from hammerstein.commands.terminal_tables import fit_table
-
-    show(fit_table(fit))
-    tell(fit.verdict)
-    for text in (fit.invertibility, *fit.flags, *fit.not_identifiable, *fit.notes):
-        tell(f"* {text}")
 
 
 @grouped

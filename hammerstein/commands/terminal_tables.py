@@ -142,13 +142,14 @@ def fit_table(fit: Fit) -> Table:
     """One line for each kind of model and output: errors on fitted and validation records."""
     from hammerstein.identification.fit import KIND_NAMES
 
-    names = ("fit_nrmse_percent", "fit_rms_um", "held_nrmse_percent", "held_rms_um")
-    table = _table("Errors of the fit", ("model", "output", "", *names))
+    names = [f"{of}\nrms [{unit}]" for of in ("fitted", "validation") for unit in ("%", "um")]
+    table = _table("Errors on the records, in % of the range and in um", ("model", "output", "", *names))
     for kind, score in fit.fit.items():
         held = fit.validation.get(kind)
         for o, output in enumerate(fit.outputs):
-            cells = [f"{score.nrmse_percent[o]:.3f}", f"{score.rms_um[o]:.4g}"]
-            cells += ["", ""] if held is None else [f"{held.nrmse_percent[o]:.3f}", f"{held.rms_um[o]:.4g}"]
+            each = [score.nrmse_percent[o], score.rms_um[o]]
+            each += [] if held is None else [held.nrmse_percent[o], held.rms_um[o]]
+            cells = [f"{value:.3g}" for value in each] + [""] * (len(names) - len(each))
             table.add_row(KIND_NAMES[kind], output, "chosen" if kind == fit.kind else "", *cells)
     return table
 

@@ -193,8 +193,8 @@ def _open_places(task: Task, built: CandidateSet, known: ParameterCovariance | N
     for i in known.open:
         found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
     return [
-        f"{len(own)} thresholds of input {name} ({', '.join(own)} V): the records hardly determine "
-        "their place between their neighbours"
+        f"{'threshold' if len(own) == 1 else 'thresholds'} {', '.join(own)} V of input {name}: the records "
+        "hardly determine the distance from its neighbours"
         for name, own in found.items()
     ]
 

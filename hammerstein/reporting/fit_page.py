@@ -26,6 +26,8 @@ from hammerstein.runtime.storage.staging import staged, staged_beside
 FIT = Owner("fit")
 MODEL = Owner("model", single=True)
 ALWAYS = ("fit.json", "report.html", "report.md")
+MOST_REMARKS = 2
+"""Limits of a model that a terminal shows; the report lists all."""
 
 CAPTIONS = {
     "loops": (
@@ -154,6 +156,18 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
     said, command = next_step(model, fit, asked)
     after = Markdown("{} {}").format(said, code(command)) if command else markdown(said)
     return [Markdown("**{}**{}").format(*_usable(fit)), *map(markdown, numbers), after]
+
+
+def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> list[str]:
+    """At most three lines for a terminal: use of the model and its error, first limits, next command."""
+    remarks = [*fit.flags, *fit.not_identifiable, *fit.notes]
+    said = [f"{''.join(_usable(fit)).replace(' (see below)', '')} {_error(fit)}"]
+    if remarks:
+        more = len(remarks) - MOST_REMARKS
+        after = f"; {more} more in the report" if more > 0 else ""
+        said.append(f"Limits: {'; '.join(remarks[:MOST_REMARKS])}{after}.")
+    files = f"Model in {asked.model_file}, report in {folder / 'report.html'}."
+    return [*said, " ".join((files, *next_step(model, fit, asked))).strip()]
 
 
 def _error(fit: Fit) -> str:

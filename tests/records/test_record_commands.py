@@ -75,12 +75,17 @@ def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsy
     assert (
         _call("identify", *records, *COLUMNS, "--rate", 20000, "--sensor-bandwidth", 2000, "--out", out) == 0
     )
-    text = capsys.readouterr().out
-    assert "improves the model" in text
+    told = capsys.readouterr().out.strip().splitlines()
+    said = told[next(i for i, line in enumerate(told) if line.startswith("Usable")) :]
+    assert len(said) <= 3  # and one table before them
+    assert said[0].startswith("Usable for simulation and compensation; untested on other records. Rms error:")
+    assert said[-1].startswith(f"Model in {out}, report in {tmp_path / 'stage_fit' / 'report.html'}. Next: ")
+    assert sum("───" in line for line in told) == 1
     model = HammersteinModel.load(out)
     truth = HammersteinModel.load("duo_bimorph_static").hysteresis.amplitude(10.0)
     np.testing.assert_allclose(model.hysteresis.amplitude(10.0), truth, atol=0.4)
     folder = tmp_path / "stage_fit"
+    assert "improves the model" in (folder / "report.md").read_text()
     assert {"report.md", "fit.json", "loops.svg"} <= {p.name for p in folder.iterdir()}
     (tmp_path / "circle.toml").write_text(
         'question = "?"\nactuator = "stage.json"\n'

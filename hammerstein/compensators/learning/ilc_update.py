@@ -77,7 +77,7 @@ class IlcUpdate:
         )
         if self.before is not None:
             better = self.before.worse_than(self)
-            found += f"The previous trial: {self.before.error_rms_um:.3g} um rms; this trial is "
+            found += f" The previous trial: {self.before.error_rms_um:.3g} um rms; this trial is "
             found += "better." if better else "worse." if self.worse else "equal within the noise."
         if self.worse:
             return f"{found} Stop: the drive of the previous trial is kept."
