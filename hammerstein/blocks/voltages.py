@@ -90,6 +90,11 @@ class Verdict(Strict):
     nrmse_percent: tuple[Figure, ...] = Field(
         default=(), description="error of each output on the records used for the verdict"
     )
+    rest_um: tuple[Figure, ...] = Field(
+        default=(),
+        description="error of each output at rest, about the mean error of its record; none without a record "
+        "from rest",
+    )
 
     def error(self, outputs: Sequence[str]) -> str:
         """Error of a model in words, by the names of its outputs; empty if it was not tested.

@@ -58,6 +58,11 @@ class Attempt:
         """Largest error of each output (p,) on the path, without its lead-in [um]."""
         return np.asarray(np.abs(self.predicted.error_um[:, self.lead :]).max(axis=1))
 
+    @property
+    def path_rms_um(self) -> Array:
+        """Rms error of each output (p,) there [um]."""
+        return np.sqrt(np.mean(self.predicted.error_um[:, self.lead :] ** 2, axis=1))
+
 
 def sensorless_law(
     law: LawLike,

@@ -281,7 +281,7 @@ def compensation_of(
     before = lead_in(path, time_step) if terms.lead_in else path[:, :0]
     compensator = compensator_of(law, options)
     found = Attempt.of(model, limits, compensator, np.hstack([before, path]), before.shape[1])
-    prediction = Prediction.of(model, found.path_error_um)
+    prediction = Prediction.of(model, found)
     own = np.zeros(len(path)) if prediction.model is None else prediction.model
     held = not found.predicted.complete and bool((found.path_error_um <= own).all())
     reachable = reach(model, limits, run_anyway=True)

@@ -20,7 +20,7 @@ from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.residual_analysis import faults_left, is_flag, residual_statements
-from hammerstein.identification.score import Candidate, Score, ranges
+from hammerstein.identification.score import Candidate, Score, ranges, rest_errors
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import direct_pairs, half_swing
 from hammerstein.identification.task import CandidateSet, FittedModel, Task
@@ -209,6 +209,14 @@ def _offsets(best: Candidate, task: Task) -> Array:
     )
 
 
+def _rest_um(fit: Fit, best: Candidate) -> tuple[float, ...]:
+    """Error of each output at rest, on validation records that begin there, else on fitted ones [um]."""
+    for records, starts in ((fit.held, fit.held_starts), (fit.records, fit.starts)):
+        if (found := rest_errors(best, records, starts)) is not None:
+            return tuple(found.tolist())
+    return ()
+
+
 def model_of(
     task: Task, fit: Fit, best: Candidate, name: str, instruments: Instruments | None
 ) -> HammersteinModel:
@@ -244,5 +252,6 @@ def model_of(
             held_out=bool(fit.held),
             sentence=fit.verdict,
             nrmse_percent=fit.judged[fit.kind].nrmse_percent,
+            rest_um=_rest_um(fit, best),
         ),
     )

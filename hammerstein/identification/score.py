@@ -17,6 +17,8 @@ from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import InitialState, Regressors
 from hammerstein.records.record import Record
 
+AT_REST = 0.01
+"""Part of the swing by which a voltage may have moved while the actuator counts as at rest."""
 _path = lru_cache(maxsize=16)(SensorModel.path)
 """Many starts are tried with one and the same model."""
 
@@ -121,6 +123,25 @@ def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[Init
     percent = 100.0 * rms / ranges(records, starts)
     relative = 100.0 * np.sqrt(squares / np.maximum(power, np.finfo(float).tiny))
     return Score(tuple(percent.tolist()), tuple(rms.tolist()), tuple(relative.tolist()))
+
+
+def rest_errors(
+    candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
+) -> Array | None:
+    """Rms over the records from rest of the error of each output there, about that of the whole record [um].
+
+    A path counts from where the actuator rests, and an error of a record about its mean. By as much as the
+    prediction is off at rest, the whole path is off. None where no record begins at rest.
+    """
+    found = []
+    for record, start in zip(records, starts, strict=True):
+        if start.kind == "rest" and not start.first:
+            near = np.abs(record.u_v - record.u_v[:, :1]) <= AT_REST * np.ptp(
+                record.u_v, axis=1, keepdims=True
+            )
+            still = int(np.argmin(np.append(near.all(axis=0), False)))
+            found.append(candidate.residual(record, start)[:, :still].mean(axis=1))
+    return np.sqrt(np.mean(np.square(found), axis=0)) if found else None
 
 
 def ranges(records: Sequence[Record], starts: Sequence[InitialState]) -> Array:

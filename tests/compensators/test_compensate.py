@@ -195,7 +195,7 @@ def _stage(folder):
     from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 
     recorded = Voltages.of([0.0], [0.0], [100.0])
-    verdict = Verdict(flagged=False, held_out=True, nrmse_percent=(0.1,))
+    verdict = Verdict(flagged=False, held_out=True, nrmse_percent=(0.1,), rest_um=(0.3,))
     instruments = Instruments(
         drive=Drive(range_v=(0.0, 100.0), resolution_v=0.002), sensor=Sensor(noise_um=0.01)
     )
@@ -257,7 +257,7 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
         assert f"remaining error: {option} (" in capsys.readouterr().err
     assert _call("compensate", "stage.json", path, *option.split(), "--json") == 0
     expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
-    assert expected["path_um"] == pytest.approx(float(error_um), rel=0.06)
+    assert expected["path_max_um"] == pytest.approx(float(error_um), rel=0.06)
     table = pd.read_csv(tmp_path / "drive.csv", comment="#")
     late = table[table["time_s"] >= -0.25 * T]  # the path keeps its own times
     assert len(late) == len(wave)
@@ -292,11 +292,11 @@ def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsy
     for options, error_um in named:
         assert _call("compensate", "stage.json", path, *options.split(), "--overwrite", "--json") == 0
         expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
-        assert expected["path_um"] == pytest.approx(float(error_um), rel=0.06)
+        assert expected["path_max_um"] == pytest.approx(float(error_um), rel=0.06)
 
 
-def test_what_is_expected_names_every_part_and_their_sum(tmp_path, capsys, monkeypatch):
-    """Gain 1 um/V at most: 0.1 % of 95 um (1 um/V less the play), half of 2 mV, the sensor's 0.01 um."""
+def test_what_is_expected_names_every_contribution_and_their_rms(tmp_path, capsys, monkeypatch):
+    """Gain 1 um/V at most: 0.1 % of 95 um (1 um/V less the play), steps of 2 mV, the sensor's 0.01 um."""
     monkeypatch.chdir(tmp_path)
     _stage(tmp_path)
     path = _path(tmp_path, 40.0 * smooth_step(np.arange(800) / 700.0))
@@ -305,13 +305,16 @@ def test_what_is_expected_names_every_part_and_their_sum(tmp_path, capsys, monke
     parts = summary["axes"]["x"]["expected_error"]
     travel = 2.0 * (0.8 * 50.0 + 0.2 * 45.0)
     assert parts["model_um"] == pytest.approx(0.001 * travel)
-    assert parts["converter_um"] == pytest.approx(0.001 * travel / 100.0, rel=0.05)
+    assert parts["converter_um"] == pytest.approx(0.002 / np.sqrt(12.0) * travel / 100.0, rel=0.05)
+    assert parts["rest_um"] == 0.3
     assert parts["noise_um"] == 0.01
-    assert parts["sum_um"] == pytest.approx(
-        sum(parts[name] for name in ("path_um", "model_um", "converter_um", "noise_um"))
-    )
-    line = next(text for text in summary["statements"] if text.startswith("Expected error: x path"))
-    for words in ("+ model 0.098 (validation record) + converter step", "+ sensor noise 0.01 ="):
+    names = ("path_rms_um", "model_um", "rest_um", "converter_um", "noise_um")
+    assert parts["rms_um"] == pytest.approx(np.sqrt(sum(parts[name] ** 2 for name in names)))
+    line = next(text for text in summary["statements"] if text.startswith("Expected rms error: x "))
+    for words in (
+        "x 0.32 um (path ",
+        "model 0.098 on validation records, rest position 0.3, converter step ",
+    ):
         assert words in line
     _circle(tmp_path / "circle.csv", samples=400)
     assert _call("compensate", "duo_bimorph", "circle.csv") == 0

@@ -7,7 +7,7 @@ from hammerstein.dynamics import StaticDynamics
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.linear.delay import best_delay
 from hammerstein.identification.operators import CurvePoint, enough_operators
-from hammerstein.identification.score import Candidate, score
+from hammerstein.identification.score import Candidate, rest_errors, score
 from hammerstein.identification.static.fitted_thresholds import gained
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
@@ -25,6 +25,20 @@ def test_errors_are_in_parts_of_range_and_of_power():
     assert found.nrmse_percent == pytest.approx((100.0 * 0.5 / np.ptp(y),), rel=1e-4)
     assert found.output_percent == pytest.approx((100.0 * 0.5 / np.std(y),), rel=1e-4)
     assert found.mean_percent == found.nrmse_percent[0]
+
+
+def test_an_error_at_rest_moves_the_whole_path():
+    """An actuator that stands at 0 and jumps by 0.5 um as it moves, in 90 % of its record."""
+    u = np.concatenate([np.zeros(40), np.sin(2.0 * np.pi * np.arange(360) / 90.0 + 0.1)])
+    y = np.stack([3.0 * u + 0.5 * (np.arange(400) >= 40), 3.0 * u]) + 7.0
+    gains = PrandtlIshlinskii([[Pair.linear(3.0)], [Pair.linear(3.0)]])
+    model = Candidate(gains, StaticDynamics(n_outputs=2))
+    record = Record([u], y, 1e-3)
+    rest = InitialState("rest")
+    np.testing.assert_allclose(rest_errors(model, [record], [rest]), [0.45, 0.0], atol=1e-12)
+    begun_later = InitialState("turned", ((0.5,),))
+    assert rest_errors(model, [record], [begun_later]) is None
+    np.testing.assert_allclose(rest_errors(model, [record, record], [rest, begun_later])[0], 0.45)
 
 
 def _fit(rms_um, thresholds, samples=1000):
