@@ -36,6 +36,8 @@ KNOTS, SLOPES = (0.02, 0.98), 50.0
 """Where knots may stand, in parts of the range, and the largest ratio of two slopes."""
 SHARES, STEEPNESSES, CENTRES = (1e-3, 0.98), (0.3, 10.0), (-0.2, 1.2)
 """The same of the tangent: its share of the swing, steepness over the range, and centre."""
+BEYOND = 0.01
+"""By how much a number may pass its upper limit, so that it has a derivative there."""
 APART = 1e-9
 """Distance, in parts of the range, by which knots and thresholds are kept in order."""
 HALVINGS = 60
@@ -161,7 +163,12 @@ class Envelope(ByValue):
         return np.concatenate(numbers)
 
     def with_free(self, free: Array) -> Envelope:
-        """Return the envelope with other ``free`` numbers; it rises by the distance of its outer points."""
+        """Return the envelope with other ``free`` numbers; it rises by the distance of its outer points.
+
+        Numbers beyond their limits count as these: a draw of uncertain numbers can be anywhere.
+        """
+        least, most = self.limits()
+        free = np.clip(free, least, most + BEYOND)
         low, span, n = float(self.voltages_v[0]), float(np.ptp(self.voltages_v)), len(self.voltages_v) - 2
         order = np.sort(free[:n]) + APART * np.arange(1, n + 1)
         knots = np.concatenate([[0.0], order, [1.0]])

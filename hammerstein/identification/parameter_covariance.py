@@ -85,7 +85,8 @@ def parameter_covariance(
     misfit, squares = _of_places(mean, told, fitted, free[free < cells], scale)
     if not misfit.size:
         misfit, squares = own, _excess(mean)
-    misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares)
+    most = _most(misfit[cells:], scale[cells:])
+    misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares, most)
     alone = np.linalg.norm(own, axis=1)
     untold = [int(i) for i in fitted if i < cells and alone[i] > UNTOLD * scale[i]]
     factor = triangle(np.hstack([own, misfit]))
@@ -271,6 +272,13 @@ def _of_places(
     return spread, max(explained, _excess(mean))
 
 
+def _most(spread: Array, scale: Array) -> float:
+    """Factor by which a spread (number, ...) can grow until one number reaches how far it can be."""
+    wide = np.linalg.norm(spread, axis=1)
+    moved = wide > 0.0
+    return float((scale[moved] / wide[moved]).min()) if moved.any() else math.inf
+
+
 def _size(
     candidate: Candidate,
     records: Sequence[Record],
@@ -279,8 +287,9 @@ def _size(
     mean: _Mean,
     spread: Array,
     squares: float,
+    most: float,
 ) -> float:
-    """Factor k with which draws of k S leave so many squares on the records, on average.
+    """Factor k, ``most`` at most, with which draws of k S leave so many squares on the records, on average.
 
     A line gives the first: with H what the records tell, k S leaves k^2 tr(S' H S). Where simulated draws
     leave less, as what plays leave does not grow with all of their cells, the factor is larger.
@@ -289,7 +298,7 @@ def _size(
     if not (squares > 0.0 and line > 0.0):
         return 0.0
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
-    x, size = beside_weights(hysteresis, dynamics), math.sqrt(squares / line)
+    x, size = beside_weights(hysteresis, dynamics), min(math.sqrt(squares / line), most)
     normals = np.random.default_rng(0).standard_normal((DRAWS, spread.shape[1]))
     normals /= np.sqrt(np.mean(normals**2, axis=0))
     for _ in range(2):
@@ -301,5 +310,5 @@ def _size(
             for one, record, start in zip(told, records, starts, strict=True):
                 errors = moved.residual(record, start) - one.residual
                 left += float(np.sum(np.sum(errors**2, axis=1) / mean.variance)) / DRAWS
-        size *= max(math.sqrt(squares / left), 1.0) if left > 0.0 else 1.0
+        size = min(size * max(math.sqrt(squares / left), 1.0), most) if left > 0.0 else size
     return size

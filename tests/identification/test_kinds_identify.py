@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import theory
+from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 import hammerstein
@@ -221,3 +222,20 @@ def test_what_a_kind_is_compared_with_has_its_delay_where_that_suits():
     left = 100.0 * np.std(read - weights @ columns) / np.ptp(read)
     assert fit.delay_samples == late
     assert fit.fit["linear"].nrmse_percent[0] == pytest.approx(left, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["bouc_wen", "generalised"])
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_resonance_without_dynamics_has_a_model_with_errors_of_its_numbers(kind, seed):
+    """A block that misses most of a record leaves its numbers open, but within what they can be."""
+    generator = np.random.default_rng(seed)
+    t = np.arange(2000)
+    tones = np.arange(1, 200)[:, None]
+    u = 0.1 * np.cos(2.0 * np.pi * tones * t / 2000 + generator.uniform(0.0, 6.28, tones.shape)).sum(axis=0)
+    y = lfilter([1.0], [1.0, -2.0 * np.exp(-0.02) * np.cos(0.35), np.exp(-0.04)], u)
+    settings = Settings(hysteresis=kind, dynamics="none", creep_modes=0, delay_samples=0, operators=3)
+    model, fit = identify([Record([u], [y], 1e-3)], settings)
+    assert fit.judged[fit.kind].nrmse_percent[0] > 5.0
+    assert np.isfinite(model.covariance.errors).all()
+    for _ in range(20):
+        model.drawn(generator)
