@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +13,7 @@ from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults
+from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
 
@@ -22,6 +23,9 @@ LEAST_PART = 5e-4
 """Rms of what is left, in parts of the range, below which it does not matter."""
 STILL_DRIFTS = 0.25
 """Trend of what is left, in parts of the drift that was seen, from which it is drift and not creep."""
+STILL_HUMP = 0.5
+"""Part of a hump that must be left for a reading to be clipped: a resonance can swing on while a voltage is
+constant, and a model that has it predicts the hump."""
 MOST_DRIFT = 0.1
 """Drift of an output, in parts of its range, up to which a model is fit for use: evenly spread it adds 0.29
 of itself to the rms error, which is stated."""
@@ -63,7 +67,7 @@ def residual_statements(
 def faults_left(
     candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
 ) -> list[Fault]:
-    """Faults of the records, but drift and saturation only where the model leaves them."""
+    """Faults of the records; those that dynamics or another kind explain only where the model leaves them."""
     named = [fault for record in records for fault in faults(record)]
     left = [fault for fault in named if _is_left(fault, candidate, records, starts)]
     dynamics = candidate.dynamics
@@ -83,16 +87,22 @@ def _is_left(
 ) -> bool:
     """Whether what was seen in a record is there still beside the model.
 
-    Creep looks like drift to who knows plays alone, and so does the bend of dead-zones like saturation; a
-    model that has them leaves none. Plays alone leave the drift, even where their weights can mimic it: it
-    was seen beside plays.
+    Creep looks like drift to who knows plays alone, the bend of dead-zones like saturation, and ringing like
+    a clipped voltage; a model that has them leaves none. Plays alone leave the drift, even where their
+    weights can mimic it: it was seen beside plays.
     """
     plain = candidate.hysteresis.kind == PLAYS and isinstance(candidate.dynamics, StaticDynamics)
-    if not (fault.drift_um or fault.bent_um) or (plain and fault.drift_um):
+    if not (fault.drift_um or fault.bent_um or fault.hump_um) or (plain and fault.drift_um):
         return True
     for record, start in zip(records, starts, strict=True):
         if record.source == fault.source and fault.outputs[0] in record.outputs:
             left = candidate.residual(record, start)[record.outputs.index(fault.outputs[0])]
+            if fault.hump_um:
+                first, last = (i - start.first for i in fault.held)
+                if first < 0:
+                    return True
+                rise = float(hump(math.copysign(1.0, fault.hump_um) * left[None, first : last + 1])[0])
+                return rise > STILL_HUMP * abs(fault.hump_um)
             if fault.bent_um:
                 return float(left.std()) >= BENT_EXPLAINS * fault.bent_um
             time = np.linspace(-1.0, 1.0, len(left))

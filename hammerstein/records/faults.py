@@ -64,6 +64,8 @@ class Fault(NamedTuple):
     text : what it is, with rows and what to do
     drift_um : how far the output drifts [um]; 0 if that is not the fault
     bent_um : rms error of plays alone [um], where the fault is that they do not saturate; 0 if it is not
+    hump_um : how far the first output rises or falls and returns while a voltage is constant [um], and
+    held : first and last sample of that; 0 if that is not the fault
     """
 
     source: str
@@ -71,6 +73,8 @@ class Fault(NamedTuple):
     text: str
     drift_um: float = 0.0
     bent_um: float = 0.0
+    hump_um: float = 0.0
+    held: tuple[int, int] = (0, 0)
 
 
 def faults(record: Record) -> list[Fault]:
@@ -264,20 +268,23 @@ def _clipped_readings(record: Record) -> Iterator[Fault]:
             places = [(a, b) for a, b in held if b - a + 1 >= LONG and _reached(u, a, b)]
             if not places:
                 continue
-            humps = np.array([_hump(side * record.y_um[:, a : b + 1]) for a, b in places])
+            humps = np.array([hump(side * record.y_um[:, a : b + 1]) for a, b in places])
             spans = np.ptp(record.y_um, axis=1)
             o = int(np.argmax(spans))
             noise = noise_rms(record.y_um[o]) / np.sqrt(LONG / 4.0)
             tall = np.median(humps[:, o]) > max(HUMP * spans[o], SURE * noise)
             if tall and (humps[:, o] > 0.0).all():
-                start, stop = places[int(np.argmax(humps[:, o]))]
+                highest = int(np.argmax(humps[:, o]))
+                start, stop = places[highest]
                 name, moved, limit = record.inputs[k], record.outputs[o], record.rest_v[k] + u[start]
                 yield Fault(
                     record.source,
-                    record.outputs,
+                    (moved, *(other for other in record.outputs if other != moved)),
                     f"{name} of {record.source} is clipped by its recorder at {limit:.4g} V: {moved} "
                     f"still moves while it is constant (rows {record.rows[start]} to "
                     f"{record.rows[stop]}, {len(places)} such places); record it with a larger range",
+                    hump_um=side * float(humps[highest, o]),
+                    held=(int(start), int(stop)),
                 )
 
 
@@ -288,7 +295,7 @@ def _reached(u: Array, start: int, stop: int) -> bool:
     return bool(jump < JUMP * np.ptp(u))
 
 
-def _hump(y: Array) -> Array:
+def hump(y: Array) -> Array:
     """How far the middle of a part stands above both of its ends (output,); negative if above one only."""
     tenth = max(y.shape[1] // 8, 1)
     half = y.shape[1] // 2
