@@ -72,10 +72,10 @@ FEWER = (0.75, 0.5)
 
 
 def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
-    """All four kinds, without a delay unless one lowers the error of the finished model by two percent.
+    """All four kinds of model, without a delay unless a delay lowers the final error by two percent.
 
-    Coarse thresholds look like a delay: so does an axis that is not yet what it comes to. A delay that was
-    found with them is judged beside none, each with thresholds and axes fitted to the end.
+    Coarse thresholds look like a delay, and so does an axis before its fit has converged. The delay found
+    with them is compared with no delay; for both, thresholds and axes are fitted to convergence.
     """
     built = _built_with(task, guesses)
     late = [guess for guess in guesses if guess.delay_samples > 0.0]
@@ -90,15 +90,15 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
 
 
 def _log_rms_left(built: CandidateSet) -> float:
-    """Logarithm of what the largest model leaves, the product of the outputs."""
+    """Logarithm of the rms error of the largest model, multiplied over the outputs."""
     rms = built.best.blocks.chosen.rms_um
     return float(np.log(np.maximum(rms, TINY)).sum())
 
 
 def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
-    """All four kinds, with axes of the shapes guessed: of each output the simplest that does as well.
+    """All four kinds of model with axes of the guessed shapes; each output keeps the simplest that fits as well.
 
-    The best is fitted with all records; the thresholds are fitted with it where that is asked for. Then a
+    The best one is fitted to all records, together with the thresholds if the settings ask for that. Then a
     low-pass beside a resonance and a creep mode are tried.
     """
     settings, may_creep = task.settings, task.settings.creep_modes == "auto"
@@ -153,10 +153,11 @@ def _first_axes(
 def _behind_fitted(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: WeightFits, static: WeightFits
 ) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], WeightFits]:
-    """Axes behind the thresholds that were fitted without any, if those leave less than the ones begun with.
+    """Axes behind thresholds fitted without axes, if these thresholds have a smaller error than the initial
+    ones.
 
-    What coarse thresholds miss of the hysteresis would pass for a delay, dynamics or creep otherwise, or hide
-    a resonance: axes that were not seen are searched anew.
+    Otherwise the error of coarse thresholds could be fitted as a delay, dynamics or creep, or could hide a
+    resonance. Axes that were not found before are searched again.
     """
     behind = replace(task, thresholds_v=thresholds_of(static))
     guesses: Sequence[FirstGuess] = (guess,)
@@ -205,7 +206,7 @@ def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
 
 
 def _guess_of(guess: FirstGuess, axes: Sequence[AxisFit]) -> FirstGuess:
-    """The axes found as what is begun with."""
+    """Initial guess from fitted axes."""
     each = [
         axis_parameters(fit.axis) if axis_identified(fit) else (shape, x)
         for fit, shape, x in zip(axes, guess.shapes, guess.parameters, strict=True)
@@ -259,11 +260,11 @@ def _others(
 def _with_lag_and_creep(
     task: Task, axes: tuple[AxisFit, ...], blocks: WeightFits
 ) -> tuple[tuple[AxisFit, ...], WeightFits, list[tuple[str, FittedModel]]]:
-    """Axes with a low-pass beside the resonance, then a creep mode, each where it lowers the error.
+    """Axes with a low-pass beside the resonance, then with a creep mode, each only if it lowers the error.
 
-    All outputs take the step together, and the static block, which is fitted anew, judges it: thresholds of
-    plays and axes are found in turn here. Behind a block with given shapes, axes grow one by one instead; see
-    ``output_dynamics``.
+    All outputs take a step together. The refitted static block decides whether it is kept: thresholds of
+    plays and axes are fitted in turn here. Behind a block with fixed shapes, axes grow one by one instead;
+    see ``output_dynamics``.
     """
     settings = task.settings
     tried: list[tuple[str, FittedModel]] = []
@@ -293,7 +294,7 @@ def _with_lag_and_creep(
 def _with(
     task: Task, grids: tuple[Array, ...], blocks: WeightFits, o: int, old: AxisFit, step: str
 ) -> AxisFit:
-    """One axis with a low-pass or a creep mode more; as it was if a quick search gains nothing."""
+    """One axis with one more low-pass or creep mode; unchanged if a quick search does not lower the error."""
     shape, x = axis_parameters(old.axis)
     if not axis_identified(old):
         shape, x = AxisShape(False), np.empty(0)

@@ -38,22 +38,22 @@ NEAR = 5e-3
 def chosen_columns(
     task: Task, begins: Sequence[Identifiable], driven: Driven, dynamics: Dynamics, ridge: float = 0.0
 ) -> tuple[Identifiable, float]:
-    """The block with the fewest columns, and the largest penalty, within half a percent of the least error.
+    """Block with the fewest columns and the largest penalty whose error is within 0.5 % of the least.
 
-    Of several blocks that is the first, the smallest, whose error is within it.
+    If several blocks qualify, the first and smallest is taken.
 
-    Every record falls into 64 parts; every fourth of them is left out in turn. Loops of one amplitude do
-    not tell plays from dead-zones whose slopes are alike on both sides of the middle: what raises the one and
-    lowers the other by the same amount changes nothing. Of all weights that leave as little, the least are
-    taken: a penalty that is as large as half a percent of the error allows.
+    Each record is cut into 64 parts, and every fourth part is a fold. Loops of one amplitude cannot separate
+    plays from dead-zones with the same slopes on both sides of the middle: raising one and lowering the other
+    by the same amount changes nothing. Among weights with equal errors, the smallest are taken; the penalty
+    may raise the error by 0.5 %.
 
     Parameters
     ----------
     task : records, starts, delay
     begins : blocks with all their columns, the smallest first
     driven : how the records drive the inputs
-    dynamics : what stands behind the block
-    ridge : penalty that was asked for; 0: one is found
+    dynamics : linear block behind the hysteresis
+    ridge : requested penalty; 0: it is found
     """
     found = [_chosen(task, block, driven, dynamics, ridge) for block in begins]
     block, smooth, _ = _first_near(found, lambda one: one[2])

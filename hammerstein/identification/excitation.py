@@ -27,12 +27,12 @@ ROUGH = 1.3
 
 
 def responses(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Array:
-    """Largest rms response of an output to each input alone (input,), in parts of what the model leaves.
+    """Largest rms response of an output to each input alone (input,), relative to the prediction error.
 
     Parameters
     ----------
-    candidate : model that was fitted to the records
-    records, starts : what was fitted, and what went before each
+    candidate : model fitted to the records
+    records, starts : fitted records and their initial states
     """
     power = np.zeros((len(records[0].u_v), len(records[0].y_um)))
     left = np.zeros(len(records[0].y_um))
@@ -52,14 +52,15 @@ def _alone(record: Record, k: int) -> Record:
 
 
 def refuse_noise(records: Sequence[Record], response: Array) -> None:
-    """Refuse outputs that are all noise, and inputs that carry nothing else.
+    """Refuse outputs that contain only noise, and inputs that move only such outputs.
 
-    A record that the model cannot represent, such as a butterfly, is no noise, though nothing responds.
+    A record that the model cannot represent, such as a butterfly loop, is not noise, although no response to
+    the input is found.
 
     Parameters
     ----------
-    records : what was fitted
-    response : what ``responses`` gave
+    records : fitted records
+    response : result of ``responses``
 
     Raises
     ------
@@ -100,7 +101,7 @@ def refuse_one_way(records: Sequence[Record]) -> None:
 
 
 def excitation_statements(records: Sequence[Record], response: Array) -> list[str]:
-    """What the voltages could not tell, because they were too small or never turned."""
+    """Parameters that the voltages cannot identify, because they were too small or never turned."""
     names, swing = records[0].inputs, half_swing(records)
     found = [
         f"individual weights of {names[k]}: its {2.0 * swing[k]:.3g} V move the outputs by only "

@@ -47,39 +47,39 @@ _OWN_FORM = frozenset(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(NotebookRepr):
-    """How a model was found and how far it can be trusted.
+    """Origin of a model, and its accuracy.
 
     Parameters
     ----------
     inputs, outputs : names of the axes
-    kind : what the model is
+    kind : kind of model
     fit : errors of each kind of model on the records it was fitted to
-    validation : the same on records that were held back; empty if there were none
-    solver : how the weights were found
+    validation : the same on the validation records; empty without any
+    solver : method that found the weights
     operators : (output, input) number of thresholds of each pair
     amplitude_v : largest half swing of an input in the records [V]
     amplitudes_v : (input,) half swing of each one [V]
     voltages : working point and range of the records
     delay_samples : delay of the outputs in samples, without the sensor's delay
     sample_time_s : time between samples of the records [s]
-    sensor_bandwidth_hz : what the sensor was taken for [Hz]
-    sensor_delay_s : time by which its readings were taken to be late [s]; not in ``delay_samples``
-    offsets_um : (record, output) readings that belong to an output of zero [um]
-    starts : what went before each record
-    held_starts : the same for the records held back
+    sensor_bandwidth_hz : assumed bandwidth of the sensor [Hz]
+    sensor_delay_s : assumed delay of its readings [s]; not in ``delay_samples``
+    offsets_um : (record, output) reading at an output of zero [um]
+    starts : initial state of each record
+    held_starts : the same for the validation records
     axes : resonances and damping with their standard errors, where the model has them
-    trials : every model that was tried, with its error on what it was not fitted to
+    trials : every model that was tried, with its cross-validation error
     order : order of a state-space model
     error_curve : cross-validation error against the number of operators
     not_identifiable : parameters that the records do not identify
     flags : effects that a model of this kind cannot represent
     notes : notes on the records and the fit
     invertible : whether the model has an inverse
-    invertibility : the same as a sentence, with the frequency or the slope to blame
+    invertibility : the same as a sentence, with the frequency or the slope that prevents it
     verdict : conclusion: blocks that improve the model, errors and flags
-    candidates : the models behind the errors
+    candidates : the models of these errors
     covariance : of all parameters of the model together
-    records, held : the records as they were fitted and judged, without their dead start
+    records, held : the fitted and the validation records, without their initial rest
     """
 
     inputs: tuple[str, ...]

@@ -127,7 +127,7 @@ def _bounds(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str
 
 
 def _invertible(task: Task, best: Candidate, voltages: Voltages) -> tuple[bool, str]:
-    """Whether the model has an inverse over what was recorded, and the same as a sentence."""
+    """Whether the model has an inverse over the recorded range, and a sentence that says so."""
     record, block = task.records[0], best.hysteresis
     reached: float | Array = float(half_swing(task.records).max())
     if task.settings.hysteresis != "prandtl_ishlinskii":
@@ -157,7 +157,7 @@ def _flags(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str]
 def _unknown(
     task: Task, built: CandidateSet, response: Array, known: ParameterCovariance | None
 ) -> list[str]:
-    """What the excitation cannot tell."""
+    """Parameters that the excitation cannot identify."""
     record = task.records[0]
     sums = [
         (

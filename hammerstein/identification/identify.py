@@ -164,7 +164,7 @@ def _scores(
 def _starts_of_held(
     held: tuple[Record, ...], built: CandidateSet, settle_s: float, settings: Settings
 ) -> tuple[InitialState, ...]:
-    """How the records held back begin, by the best model, or by one that explains what it does not."""
+    """Initial states of the validation records, by the best model or by another that explains the beginning."""
     best = built.best.candidate
     simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not best]
     return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler, best.slow_s)
@@ -212,7 +212,7 @@ def from_last_rest(
 
 
 def _without_dead_start(record: Record) -> Record:
-    """The record without what it shows at rest: voltages and readings that stand still tell nothing."""
+    """The record without its initial rest: constant voltages and readings carry no information."""
     dead = dead_start(record)
     return record.part(dead, record.samples) if dead + 1 >= FEWEST_AT_REST else record
 

@@ -90,9 +90,10 @@ def _first_starts(
 
 @dataclass(frozen=True, eq=False)
 class _FirstModels:
-    """Quick models that tell how the records begin, with axes guessed, if there are any.
+    """Quick models that find the initial states of the records, with guessed axes if there are any.
 
-    What a record adds to the sums depends on its own start alone: it is gathered once for each.
+    The contribution of a record to the sums depends on its own initial state alone, so it is computed once
+    for each.
     """
 
     records: tuple[Record, ...]
@@ -182,10 +183,9 @@ def creeping_starts(
     settings: Settings,
     tell: Progress,
 ) -> tuple[InitialState, ...]:
-    """Starts of records that began while an earlier step still crept, found in turn with a slow mode.
+    """Initial states of records that began while an earlier step still crept, found in turn with a slow mode.
 
-    As they were, where nothing decays in what is left of any record, or where a slow mode in records that
-    began at rest leaves as little.
+    Unchanged if no prediction error decays, or if a slow mode fits as well with records that began at rest.
     """
     quick, begun = shortened(records, starts, FIRST_SAMPLES)
     first = _FirstModels(quick, guess, settings).fitted(begun)

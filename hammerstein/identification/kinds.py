@@ -60,10 +60,10 @@ BEGINNING = 20_000
 
 @dataclass(frozen=True, eq=False)
 class FittedBlock:
-    """A block of another kind, what is to be said of it, and the ridge of its weights.
+    """Fitted block of another kind, notes on it, and the ridge of its weights.
 
-    ``picked`` says that its columns were chosen of many; ``rough`` asks of those that are to be like it no
-    more than to be told apart; ``at_limit`` says that a number ended where the records do not determine it.
+    ``picked``: its columns were chosen among many. ``rough``: only its weights need to be found again.
+    ``at_limit``: a parameter ended at the limit of what the records determine.
     """
 
     hysteresis: Hysteresis[Any]
@@ -75,20 +75,21 @@ class FittedBlock:
 
 
 def with_hysteresis(task: Task, built: CandidateSet) -> tuple[Task, CandidateSet]:
-    """The models with one of the kind of hysteresis that was asked for; ``classical`` keeps plays.
+    """The models, with one of the requested kind of hysteresis; ``classical`` keeps plays.
 
-    Lag, resonance and creep are found anew behind the block itself, for what plays miss of it would pass for
-    them; with dynamics ``auto`` only where the records are driven at several rates, for at a single one a lag
-    looks like hysteresis. So does a delay: without dynamics every one is judged, none always among them.
+    Lag, resonance and creep are found again behind the block itself, because plays would leave errors that
+    look like them. With dynamics ``auto`` this needs records at several rates: at a single rate, a lag looks
+    like hysteresis. So does a delay: without dynamics every delay is tried, and no delay is always among
+    them.
 
     Parameters
     ----------
-    task : records and settings; its thresholds, delay and starts were found with plays
+    task : records and settings; plays gave its thresholds, delay and initial states
     built : the models with plays
 
     Returns
     -------
-    task : with the starts and the delay of the model that is kept
+    task : with the initial states and the delay of the chosen model
     built : the models with that one
     """
     settings, kind, with_plays = task.settings, task.settings.hysteresis, task.delay_samples
@@ -135,7 +136,7 @@ def _thresholds_of_plays(built: CandidateSet) -> Thresholds:
 
 
 def _untold(task: Task, thresholds_v: Thresholds, found: HammersteinFit) -> str:
-    """What the records do not tell of a block: it is as good when its numbers beside plays do nothing."""
+    """Parameters of a kind that the records do not identify: without them, plays are as good."""
     block = found.block.hysteresis
     own = block.without_own() if isinstance(block, Identifiable) else None
     if own is None:
@@ -161,7 +162,7 @@ def _plays_of(task: Task) -> dict[Kind, FittedModel]:
 def _better(
     task: Task, found: dict[Kind, FittedModel], others: dict[Kind, FittedModel]
 ) -> dict[Kind, FittedModel]:
-    """Models of which those are replaced that another one of their kind leaves less of the records than."""
+    """For each kind of model, the one of two with the smaller error on the records."""
 
     def left(one: FittedModel) -> float:
         return score(one.candidate, task.records, task.starts).mean_percent
@@ -219,7 +220,7 @@ def trials_of(task: Task, tried: Sequence[HammersteinFit]) -> list[Trial]:
 def _judged_alike(
     task: Task, one: HammersteinFit, tried: Sequence[HammersteinFit]
 ) -> tuple[InitialState, ...]:
-    """Starts with which one of several models is judged; those that it was fitted with where they explain."""
+    """Initial states for judging one of several models; those of its fit where they explain the record."""
     simpler = [other.candidate.predict for other in tried if other is not one]
     settle_s = max(other.settle_s for other in tried)
     open_ = unexplained(task.records, one.starts)
@@ -236,7 +237,7 @@ def _judged_alike(
 
 
 class HammersteinFit(NamedTuple):
-    """A block with what stands behind it."""
+    """Hysteresis block and the linear dynamics behind it."""
 
     candidate: Candidate
     behind: OutputDynamics
@@ -261,11 +262,14 @@ class HammersteinFit(NamedTuple):
 
 
 def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> HammersteinFit:
-    """Block, axes and starts fitted in turn until nothing is gained.
+    """Block, axes and initial states, fitted in turn until the error falls no further.
 
-    The block is fitted with its bounds and all that is not linear in it, the axes with its weights. Columns
-    are chosen in every turn: in front of axes that are not yet what they come to, too few pass for enough.
-    The block begins anew once there are axes: without them it has bent to what they do.
+    The block is fitted with its bounds and all its nonlinear parameters, the axes together with its weights.
+    Columns are chosen in every turn: in front of axes that have not converged, too few columns would seem
+    sufficient. Once there are axes, the block starts again from its first guess, because without axes it had
+    adapted to their effect.
+
+    alone : the block found without axes
 
     alone : the block as it was found without axes
     """
@@ -289,7 +293,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
 
 
 def _again(block: FittedBlock) -> FittedBlock | None:
-    """Where the search for the block goes on; nowhere for one whose columns are chosen anew."""
+    """Block from which the search continues; none if its columns are chosen again."""
     return None if block.picked else block
 
 
@@ -304,11 +308,11 @@ def _begun_anew(task: Task, thresholds_v: Thresholds, whole: HammersteinFit, fir
 def _starts_behind(
     task: Task, thresholds_v: Thresholds, whole: HammersteinFit, first: bool
 ) -> tuple[InitialState, ...]:
-    """Starts that suit a model with axes.
+    """Initial states that suit a model with axes.
 
-    What a record did not tell before lag and creep were known is asked again: slow modes that are fitted as
-    if a record had gone before itself make its true past look wrong, so that the weights are fitted anew.
-    Creep that may have been under way is looked for the first time.
+    With lag and creep known, states that were undetermined before are estimated again. A slow mode fitted
+    with a wrong initial state makes the true one look wrong, so the weights are refitted for each. Creep
+    already under way at the start of a record is considered for the first time here.
     """
     mode = task.settings.start
     candidate = whole.candidate

@@ -48,15 +48,15 @@ class Trial:
 
     Parameters
     ----------
-    name : what it consists of
-    parameters : free numbers in it
-    squares : (fold,) mean squared error of the outputs in parts of their ranges, on each part left out;
-        infinite where the prediction is not finite or the model unstable
-    usable : whether its main pairs and its linear block can be inverted, and none of its numbers ends at a
-        limit, where the records do not determine it
-    told : whether the records tell the dynamics that it has, and hold ``READINGS`` for every free number; if
-        not, it is only there to compare with
-    kept : whether it is the model that is returned
+    name : its parts in words
+    parameters : number of free parameters
+    squares : (fold,) mean squared error of the outputs relative to their ranges, on each fold; infinite where
+        the prediction is not finite or the model unstable
+    usable : whether its direct pairs and its linear block are invertible, and no parameter ends at a limit,
+        where the records do not determine it
+    told : whether the records identify its dynamics and have ``READINGS`` for every free parameter; if not,
+        it is listed for comparison only
+    kept : whether it is the chosen model
     """
 
     name: str
@@ -79,7 +79,7 @@ class Trial:
 
     @property
     def counted(self) -> Array:
-        """Squares (fold,) by which it is judged: what is rounding counts alike."""
+        """Squares (fold,) that count in the comparison: errors at the level of rounding are equal."""
         return np.maximum(self.squares, ROUNDING)
 
     @property
@@ -91,10 +91,10 @@ class Trial:
 def chosen(trials: Sequence[Trial]) -> int:
     """Trial to keep: the one with the fewest parameters whose rms error is ``CLOSE`` to the least.
 
-    The standard error is that of the difference to the best, from part to part (Breiman et al.,
-    Classification and Regression Trees, 1984, section 3.4.3). Alone it is no measure: in long records of
-    little noise the smallest gain is many of them. A model without an inverse, or with a number at a
-    limit, is kept only where none better in that is as good, which then may leave more than the 5 %.
+    The standard error is that of the difference from the best, over the folds (Breiman et al., Classification
+    and Regression Trees, 1984, section 3.4.3). Alone it is no criterion: in long records with little noise,
+    the smallest gain is many standard errors. A model without an inverse, or with a parameter at a limit, is
+    kept only if no model without such a fault is as good; that model may then exceed the 5 %.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def chosen(trials: Sequence[Trial]) -> int:
 
 
 def least(trials: Sequence[Trial]) -> int:
-    """Trial with the least error, of those that the records tell; the smallest of several."""
+    """Trial with the least error among the identified ones; the smallest if several are equal."""
     told = [i for i in range(len(trials)) if trials[i].told] or list(range(len(trials)))
     return min(told, key=lambda i: (trials[i].mean, trials[i].parameters))
 
@@ -159,7 +159,9 @@ def trial_of(
     invertible: bool,
     told: bool = True,
 ) -> Trial:
-    """What speaks for a model: its errors on folds of the records, and whether it can be used.
+    """Errors of a model on folds of the records, and whether it is usable.
+
+    told : whether the records identify its dynamics
 
     told : whether the records tell its dynamics
     """
@@ -193,12 +195,12 @@ def is_stable(dynamics: Dynamics, sample_time_s: float) -> bool:
 
 
 def fold_squares(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Array:
-    """Squared errors (record and fold,) where the weights were fitted to the other folds of the same records.
+    """Squared errors (record and fold,) with the weights fitted to the other folds of the same records.
 
-    Each record falls into 16 parts, every fourth of which is one fold: cycles of an experiment lie on
-    both sides. The other numbers stay as they are, and so do weights that the other folds leave open; the
-    operators run through all parts. Infinite for a model that cannot be used. Every kind of hysteresis is
-    judged in this way, so that what is chosen by it owes nothing to records that were held back.
+    Each record is cut into 16 parts, and every fourth part belongs to one fold, so that each fold contains
+    cycles from the whole record. The other parameters stay fixed, and so do weights that the other folds do
+    not determine; the operators run through all parts. The error is infinite for a model that cannot be used.
+    Every kind of hysteresis is judged in this way; validation records do not affect the choice.
     """
     if not is_stable(candidate.dynamics, records[0].sample_time_s):
         return np.full(FOLDS * len(records), np.inf)

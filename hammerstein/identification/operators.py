@@ -97,15 +97,15 @@ def error_curve(
     delay_samples: int = 0,
     through: Sequence[LinearBlock] = (),
 ) -> tuple[CurvePoint, ...]:
-    """Error on held-out parts of the records against the number of operators.
+    """Cross-validation error against the number of operators.
 
-    Each record is cut in 16 parts; every fourth is left out in turn. The plays run through all of them.
+    Each record is cut into 16 parts; every fourth part is a fold. The plays run through all of them.
 
     Parameters
     ----------
-    records, starts : what is fitted
-    partition : how thresholds are placed
-    delay_samples : whole samples by which the outputs come late
+    records, starts : fitted records and their initial states
+    partition : placement of the thresholds
+    delay_samples : delay of the outputs in whole samples
     through : linear block of each record, if there is one
     """
     few, begun = shortened(records, starts, CURVE_SAMPLES)

@@ -56,7 +56,7 @@ fit has them all."""
 
 
 class OutputDynamics(NamedTuple):
-    """The axes found behind a block, the delay [samples], and what is known of the axes at their best."""
+    """Axes behind a block, the delay [samples], and the fit of each axis."""
 
     axes: tuple[Axis, ...]
     delay_samples: float
@@ -69,7 +69,7 @@ class OutputDynamics(NamedTuple):
 
     @property
     def is_static(self) -> bool:
-        """Whether nothing stands behind the block."""
+        """Whether there are no dynamics behind the block."""
         return all(axis == Axis() for axis in self.axes)
 
 
@@ -78,15 +78,15 @@ def search_output_dynamics(
 ) -> OutputDynamics:
     """Axes behind a block whose weights are free.
 
-    A low-pass, a resonance and slow modes are added to an axis one after the other, each time what lowers the
-    error most, while it does so by two percent.
+    A low-pass, a resonance and slow modes are added to an axis one after the other: each time the one that
+    lowers the error most, as long as it does so by two percent.
 
     Parameters
     ----------
     task : records, starts, settings
-    hysteresis : the block; only its weights are found anew
-    begin : axes, if any, and the delay to begin with
-    free_delay : whether the delay is found, too
+    hysteresis : the block; only its weights are refitted
+    begin : initial axes, if any, and initial delay
+    free_delay : whether the delay is fitted, too
     """
     late = replace(task, delay_samples=begin.delay_samples)
     every = [len(weights) for weights in hysteresis.weights]
@@ -129,7 +129,7 @@ def _delay(
 
 
 def sure_output_dynamics(task: Task, hysteresis: Hysteresis[Any], found: OutputDynamics) -> OutputDynamics:
-    """The axes at their best, without what the records do not tell of them, behind the same block."""
+    """The fitted axes behind the same block, without the parts that the records do not identify."""
     late = replace(task, delay_samples=found.delay_samples)
     fits = []
     for o, axis in enumerate(found.axes):
@@ -143,7 +143,9 @@ def sure_output_dynamics(task: Task, hysteresis: Hysteresis[Any], found: OutputD
 
 
 def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
-    """The axis without slow modes and a resonance that the records do not tell, one after the other.
+    """The axis without slow modes and resonances that the records do not identify, removed one by one.
+
+    asked : whether a number of slow modes was requested; these stay, identified or not
 
     asked : whether a number of slow modes was asked for; they stay, told or not
     """

@@ -36,10 +36,12 @@ class Adjustable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """A feedback block, and which of its numbers are searched.
+    """Feedback block, and the entries of its matrices that are fitted.
+
+    block : its hysteresis is ``Adjustable``; the weights stay fixed, because E scales their output
 
     block : whose hysteresis is ``Adjustable``; its weights stay, as E scales what it gives
-    entries : names of matrices, A to G, and which of their entries are free
+    entries : matrix names, A to G, and the free entries of each
     """
 
     block: FeedbackBlock
@@ -61,7 +63,7 @@ class OpenLoop:
         return replace(self, block=replace(self.block, hysteresis=gamma, **found))
 
     def error(self, period: SettledPeriod) -> Array:
-        """What is left of a period (p, N), in its weight; large where the simulation diverges."""
+        """Weighted prediction error of a period (p, N); large where the simulation diverges."""
         u = np.hstack([period.u[:, period.u.shape[1] - period.warm :], period.u])
         with np.errstate(all="ignore"):
             left = period.y - self.block.respond(u)[0][:, period.warm :]
@@ -74,14 +76,14 @@ def fit_loop(
     periods: Sequence[SettledPeriod],
     tell: Callable[[float], None] = lambda rms: None,
 ) -> OpenLoop:
-    """Fit all free numbers at once to the simulated outputs, by Gauss-Newton steps in a trust region.
+    """Fit all free parameters at once to the simulated outputs, by Gauss-Newton steps in a trust region.
 
-    The derivatives are differences, as a kind says nothing of its own. The hysteresis is stepped sample by
-    sample, so that a period of 4096 samples costs about 0.1 s a number and step.
+    Derivatives are finite differences, because a kind has no derivatives of its own. The hysteresis is
+    stepped sample by sample, so a period of 4096 samples costs about 0.1 s per parameter and step.
 
     Parameters
     ----------
-    start : numbers near enough for the outputs to have the phase of the records
+    start : parameters close enough for the outputs to be in phase with the records
     periods : settled periods at several amplitudes
     tell : takes the rms of all weighted errors after every evaluation
 

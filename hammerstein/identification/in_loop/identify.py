@@ -53,7 +53,7 @@ class LoopSettings:
 
 @dataclass(frozen=True, eq=False)
 class LoopFit:
-    """What was found: numbers, steps of the last search, and errors of what was held back [um]."""
+    """Result: parameters, steps of the last search, and errors on the validation experiments [um]."""
 
     found: LoopParameters
     held_um: float
@@ -81,18 +81,18 @@ def identify_in_loop(
 ) -> tuple[HammersteinModel, LoopFit]:
     """Identify a model with plays and products inside its loop from the simulated output.
 
-    Linear dynamics of the records are the start. Plays, then more paths for the upper and the lower modes,
-    then products of z are tried on two thirds of the experiments, and kept where they lower the error of the
-    third. The number of steps is chosen there, too. Then all experiments are fitted with what was chosen.
+    The search begins with linear dynamics. Plays, then more paths for the lower and the upper modes, then
+    products of z are tried on two thirds of the experiments. Each is kept if it lowers the error on the other
+    third, which also sets the number of steps. Then the chosen structure is fitted to all experiments.
 
     Parameters
     ----------
     records : experiments at several amplitudes, on one sample time
-    kept : file of the numbers found so far, written after every step; a search goes on from it
+    kept : file of the parameters found so far, written after every step; a search continues from it
 
     Raises
     ------
-    IdentificationError : too few experiments, or linear dynamics are as good on what was held back
+    IdentificationError : too few experiments, or linear dynamics are as good on the validation experiments
     InputError : records of several sample times, or a file of other records
     """
     asked, ready = settings or LoopSettings(), from_last_rest(records)

@@ -1,9 +1,9 @@
 """Compiled loops of plays inside the loop: the path of a record, and its exact derivatives.
 
-One row of a *path* holds what a sample multiplies numbers of the model with: state x, input u, hysteresis w,
-every play less its linear part, g = p - beta z, every product of inputs of the hysteresis, and the inputs
-themselves as parts of their limits, with a 1 behind them. The derivative of anything by one number then
-starts from one entry of that row, and goes on through the same linear equations.
+One row of a *path* holds all factors that a sample multiplies with model parameters: state x, input u,
+hysteresis w, every play minus its linear part, g = p - beta z, every product of hysteresis inputs, and the
+inputs themselves relative to their limits, followed by a 1. The derivative with respect to one parameter
+therefore starts from one entry of that row and follows the same linear equations.
 """
 
 from __future__ import annotations

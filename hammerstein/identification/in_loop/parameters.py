@@ -169,7 +169,7 @@ class LoopParameters:
         inputs: Sequence[str],
         outputs: Sequence[str],
     ) -> HammersteinModel:
-        """Give a model file of the numbers; nothing is in front of the loop.
+        """Return the model of these parameters; nothing precedes the loop.
 
         amplitude_v : largest voltage of the records [V]
 
@@ -195,7 +195,7 @@ class LoopParameters:
         return Pair(np.concatenate([[0.0], r]), np.concatenate([[straight], weights]))
 
     def save(self, file: Path, search: dict[str, Any] | None = None) -> None:
-        """Write all numbers, and what is known of their search; nothing is left half-written."""
+        """Write all parameters and the state of the search, atomically."""
         content = {one.name: getattr(self, one.name).tolist() for one in fields(self)}
         write_atomic(
             file, json.dumps({"format": FORMAT, "search": search or {}, **content}, sort_keys=True) + "\n"

@@ -21,10 +21,10 @@ BEYOND = 1.2
 
 
 def linear_start(block: LinearBlock, periods: Sequence[SettledPeriod]) -> LoopParameters:
-    """Numbers that do what a linear block does, with a path of plays for each input that do nothing yet.
+    """Parameters that reproduce a linear block, with one inactive path of plays for each input.
 
-    The z of a path is the position in the coordinates of the inputs: there the charge of a stack is, but for
-    its scale. Its hysteresis pushes as the input does; how much is left to the search.
+    The z of a path is the position in the coordinates of the inputs, which is proportional to the charge of a
+    stack. Its hysteresis acts like the input; the search finds its gain.
     """
     to_blocks = _coordinates(block.A)
     a = np.linalg.solve(to_blocks, block.A @ to_blocks)

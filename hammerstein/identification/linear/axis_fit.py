@@ -33,21 +33,21 @@ EXCITED = 2.0
 
 @dataclass(frozen=True)
 class AxisFit:
-    """One axis with what the records say about it.
+    """One axis and the accuracy of its parameters.
 
     Parameters
     ----------
     axis : resonance, damping, lag, creep
-    resonance_error_percent, damping_error_percent : standard errors, in percent of the value; None without
-        a resonance
+    resonance_error_percent, damping_error_percent : standard errors, in percent of the value; None without a
+        resonance
     creep_gain_errors : standard errors of the creep gains
-    rms_um : rms of what is left [um]
+    rms_um : rms of the prediction error [um]
     static_rms_um : the same without dynamics [um]
     lag_error_percent : standard error of the time constant, in percent of it; None without a lag
-    excited : whether the resonance shows in the records: the model has more power near it than it leaves
-    one_rate : whether hysteresis does the same at the only rate in the records: a lag widens the loops, and
-        the resonance lies among the first harmonics
-    unsure : the same with slow modes that were left out, as the records do not tell their size
+    excited : whether the records excite the resonance: near it, the model has more power than its error
+    one_rate : whether hysteresis could have the same effect, because the records have one rate only: a lag
+        widens the loops, and the resonance is among the first harmonics
+    unsure : the same fit with slow modes, which were omitted because the records do not determine their gains
     """
 
     axis: Axis
@@ -75,7 +75,9 @@ class AxisFit:
 
 
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
-    """Fit one axis from parameters near the best ones; creep is begun anew if ``begin`` holds none."""
+    """Fit one axis, starting from parameters near the best ones; creep starts from a guess if ``begin`` has
+    none.
+    """
     shape = task.shape
     static = fit_slopes(task, task.sensor_path)[1]
     x = begin if len(begin) == shape.parameters else np.concatenate([begin[: shape.slow], _first_creep(task)])
@@ -100,15 +102,15 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
 
 
 def standard_errors(task: AxisTask, point: Point) -> Array:
-    """Standard errors of the parameters, with what the model misses.
+    """Standard errors of the parameters, model error included.
 
-    The larger of two: for errors that are independent from sample to sample, and
+    The larger of two estimates: for errors that are independent from sample to sample, and
 
         (H^-1 (sum over parts of g g^T) H^-1)_ii,    g = sum over the part of psi e
 
-    with the derivatives psi of the output behind the slopes, and H = psi^T psi: errors may be related
+    with the derivatives psi of the output behind the slopes, and H = psi^T psi: errors may be correlated
     within a part (White, Econometrica 48 (1980) 817-838; Liang and Zeger, Biometrika 73 (1986) 13-22). The
-    slopes are free, delay and thresholds are taken as they are.
+    slopes are free; delay and thresholds are taken as known.
     """
     n = task.columns
     inverse = np.linalg.pinv(point.curvature, rcond=1e-14, hermitian=True)
@@ -201,12 +203,12 @@ def fit_axes(
     ----------
     records : all with the same axes; sample times may differ where there is no delay
     grids : thresholds of each input [V]
-    starts : what went before each record
-    guess : where to begin
+    starts : initial state of each record
+    guess : initial guess
     creep_modes : slow modes of each axis; None: as many as the guess has
-    sensor : what is known of it; nothing if not given
-    every : samples of which one is counted in the sums
-    progress : told what is being done
+    sensor : model of the sensor; ideal if not given
+    every : of this many samples, one counts in the sums
+    progress : called with the current step
     """
     tell = progress or (lambda _: None)
     fits = []

@@ -97,18 +97,18 @@ def search_axes(
     resonance: bool = True,
     progress: Progress | None = None,
 ) -> FirstGuess:
-    """Resonance, damping and lag of every axis, and the delay, from the beginnings of the records.
+    """Resonance, damping and lag of every axis, and the delay, from the first parts of the records.
 
     Parameters
     ----------
     records : all with the same axes
-    starts : what went before each record
+    starts : initial state of each record
     grids : thresholds of each input [V]; uniform in voltage if not given
-    delay_samples : whole samples by which the outputs come late; None: found, if all
-        records have one sample time
-    sensor : what is known of it; nothing if not given
+    delay_samples : whole samples by which the outputs come late; None: found, if all records have one sample
+        time
+    sensor : model of the sensor; ideal if not given
     lag, resonance : what each axis consists of
-    progress : told what is being done
+    progress : called with the current step
     """
     tell = progress or (lambda _: None)
 
@@ -134,7 +134,7 @@ def search_axes(
 def refined_late(
     tasks: Sequence[AxisTask], delay: float, begins: Sequence[Array], enough: float = ROUGHLY
 ) -> tuple[list[float], list[Array]]:
-    """What is left of each output with a delay, and the parameters of its axis near given ones."""
+    """Prediction error of each output with a delay, and the parameters of its axis near given ones."""
     late = [replace(task, delay_samples=delay) for task in tasks]
     points = [refine(task, x, enough) for task, x in zip(late, begins, strict=True)]
     return [point.rms for point in points], [point.x for point in points]
@@ -148,16 +148,16 @@ def checked_delay(
     *,
     sensor: SensorModel | None = None,
 ) -> FirstGuess:
-    """Guess with the delay that is best with all thresholds, to a part of a sample; unless it was given.
+    """Guess with the best delay for all thresholds, to a fraction of a sample; a given delay stays.
 
-    The few thresholds of the search smooth the hysteresis, which looks like a delay of a sample or so.
+    The few thresholds of the search smooth the hysteresis, which looks like a delay of about a sample.
 
     Parameters
     ----------
     records, starts : as for the search
     grids : thresholds of each input [V]
-    guess : what the search has found
-    sensor : what is known of it; nothing if not given
+    guess : result of the search
+    sensor : model of the sensor; ideal if not given
     """
     if not guess.free_delay:
         return guess
@@ -199,9 +199,10 @@ def thinning(records: Sequence[Record]) -> int:
 def search(task: AxisTask, judged: AxisTask, closely: bool = False) -> Array:
     """Resonance and damping near the best ones.
 
-    Begun with the best places of a coarse grid over all that the records can show, and with the frequencies
-    that stand out of what a static block leaves. ``closely`` adds a grid so fine that no resonance of little
-    damping is missed. ``judged`` has all columns: the few of ``task`` hide what thresholds can make good.
+    The search begins at the best points of a coarse grid over all values that the records can show, and at
+    frequencies where the error of a static block stands out. ``closely`` adds a grid fine enough for any
+    weakly damped resonance. ``judged`` has all columns: with the few columns of ``task``, an axis could hide
+    an error that thresholds can remove.
     """
     lower, upper = task.limits
     begins: list[Array] = []
@@ -239,7 +240,7 @@ def _is_at(here: Point, found: Point) -> bool:
 
 
 def ringing_hz(task: AxisTask) -> list[float]:
-    """Frequencies at which what a static block leaves stands out of its neighbourhood, clearest first."""
+    """Frequencies at which the error of a static block rises above its neighbourhood, clearest first."""
     from scipy.signal import find_peaks, welch
 
     slopes, _ = fit_slopes(task, task.sensor_path)

@@ -88,12 +88,12 @@ def refined(task: AxisTask, x: Array, enough: float = ENOUGH) -> Iterator[Point]
 
 
 def rms_behind(task: AxisTask, x: Array) -> float:
-    """Rms of what is left with given parameters and the best slopes [um]."""
+    """Rms error with given parameters and the best slopes [um]."""
     return fit_slopes(task, partial(task.path, x))[1]
 
 
 def fit_slopes(task: AxisTask, path: Callable[[float], LinearBlock]) -> tuple[Array, float]:
-    """Slopes behind a fixed path, and the rms of what is left."""
+    """Slopes behind a fixed path, and the rms error."""
     moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
     cross = moments.cross[:, 0]
     slopes = coefficients(moments.gram, cross)
@@ -126,7 +126,7 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
 
 
 def residuals(task: AxisTask, path: Callable[[float], LinearBlock], slopes: Array) -> list[Array]:
-    """What the slopes behind a path leave of each record (sample,), about its mean [um]."""
+    """Residual of each record (sample,) with the best slopes behind a path, about its mean [um]."""
     left = []
     for i, (record, start) in enumerate(zip(task.records, task.starts, strict=True)):
         filters = [OfSum(slopes, path(record.sample_time_s))]

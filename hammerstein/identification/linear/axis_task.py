@@ -141,11 +141,11 @@ class AxisShape:
 
 @dataclass(frozen=True, eq=False)
 class AxisTask:
-    """What stays fixed while one axis is fitted.
+    """Data that stay fixed while one axis is fitted.
 
-    ``every`` leaves out samples of the sums, not of the signals: 3 takes every third. ``kept`` takes the
-    place of the columns of all thresholds, see ``mixed``. Whole samples of the delay shift the columns, the
-    rest of it belongs to the path; so does what the sensor is late beside it.
+    ``every`` thins the sums, not the signals: 3 counts every third sample. ``kept`` replaces the columns of
+    all thresholds, see ``mixed``. Whole samples of the delay shift the columns; the rest of the delay, and
+    the delay of the sensor, belong to the path.
     """
 
     records: tuple[Record, ...]
@@ -160,13 +160,13 @@ class AxisTask:
 
     @property
     def columns(self) -> int:
-        """Columns whose slopes are found: those of all inputs, or the sums that are kept of them."""
+        """Columns whose slopes are fitted: those of all inputs, or the sums kept of them."""
         return len(self.kept[0].held) if self.kept else sum(map(len, self.grids))
 
     def mixed(self, slopes: Array) -> AxisTask:
         """The task with few columns, kept in memory: outputs of given slopes, and a few plays beside them.
 
-        Each input has a column with what its slopes say, and columns with a third of its differences each.
+        Each input has one column for its given slopes, and three columns for thirds of its slope changes.
         """
         rows, first = [], 0
         for grid in self.grids:
@@ -248,7 +248,7 @@ class AxisTask:
         return held_each(each, sample_time_s, self.late(sample_time_s)[1])
 
     def _observed(self, a: Array, b: Array, c: Array, d: Array) -> StateMatrices:
-        """Continuous A, B, C, D of an axis and the sensor behind it, whose state comes last."""
+        """Continuous A, B, C, D of an axis and the sensor behind it; the state of the sensor is last."""
         if self.sensor.bandwidth_hz is None:
             return a, b, c, d
         n, s = len(a), 2.0 * math.pi * self.sensor.bandwidth_hz

@@ -35,7 +35,7 @@ Modes = Complex
 
 
 def measured_response(records: Sequence[Record], v_um: Sequence[Array] | None = None) -> FrequencyResponse:
-    """Frequency response from the voltages, or from what stands behind the static block, to the readings."""
+    """Frequency response from the voltages, or from the output of the static block, to the readings."""
     period = records[0].period_samples
     same = all(record.period_samples == period for record in records)
     return frequency_response(
@@ -51,11 +51,11 @@ def fit_linear(
 ) -> tuple[LinearBlock, Array]:
     """State-space model (p inputs, p outputs) and the gain matrix (output, input) in front of it.
 
-    The gain is that of the model at its lowest line, so that the block itself has unit gain there.
+    The gain is that of the model at its lowest line, so the block itself has unit gain there.
 
     Raises
     ------
-    IdentificationError : more inputs than outputs, or an excitation that does not tell the response
+    IdentificationError : more inputs than outputs, or an excitation that does not determine the response
     """
     m, p = len(records[0].u_v), len(records[0].y_um)
     if m > p:
@@ -70,7 +70,7 @@ def fit_linear(
 
 
 def behind_gain(block: LinearBlock, gain: Array) -> LinearBlock:
-    """Split a block in a gain (p, m) and what must stand behind it."""
+    """Split a block into a gain (p, m) and the block behind it."""
     inverse = np.linalg.pinv(gain)
     return LinearBlock(block.A, block.B @ inverse, block.C, block.D @ inverse, block.sample_time_s)
 

@@ -12,14 +12,14 @@ from hammerstein.errors import IdentificationError
 
 
 def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tuple[CreepMode, ...]:
-    """Slow modes between what a static block says and what was read on one axis.
+    """Slow modes between the output of a static block and the reading of one axis.
 
         y = a0 v + sum over i of a_i f_i + offset,   f_i = v / (1 + T_i s),   g_i = a_i / a0
 
     with v one sample late: the actuator responds to a held voltage within a sample, not at its first instant.
 
     The weights a are linear once the time constants are fixed (variable projection: Golub and Pereyra,
-    Inverse Problems 19 (2003) R1); v is held over each sample, so that f is exact on the grid.
+    Inverse Problems 19 (2003) R1); v is held over each sample, so f is exact on the grid.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tup
 
     Raises
     ------
-    IdentificationError : the record does not tell the modes apart
+    IdentificationError : the record does not separate the modes
     """
     from scipy.optimize import least_squares
 

@@ -44,15 +44,15 @@ def delay_in_samples(delay_s: float, sample_time_s: float) -> float:
 
 
 def best_delay(attempt: Attempt[S], begin: S, *, first: float = 0.0, parts: bool = False) -> tuple[float, S]:
-    """Shortest delay [samples] that leaves hardly more than the best one, and what was found with it.
+    """Shortest delay [samples] whose error is close to the least, and the fit with it.
 
-    Everything is fitted anew with each delay: dynamics and hysteresis look late themselves.
+    Everything is fitted again for each delay, because dynamics and hysteresis look like delays themselves.
 
     Parameters
     ----------
-    attempt : see ``Attempt``; begin : with what the first one begins
+    attempt : see ``Attempt``; begin : initial guess of the first one
     first : delay that is tried first
-    parts : whether a part of a sample is tried, too
+    parts : whether fractions of a sample are tried, too
 
     Examples
     --------
@@ -86,7 +86,7 @@ def _least(tried: Mapping[float, tuple[Sequence[float], Any]]) -> float:
 
 
 def _log_rms(rms: Sequence[float]) -> float:
-    """Logarithm of the product of what is left of all outputs."""
+    """Logarithm of the rms errors, multiplied over the outputs."""
     return sum(math.log(max(one, TINY)) for one in rms)
 
 

@@ -80,13 +80,13 @@ def refine(
 ) -> Matrices:
     """Improve a stable model by Levenberg-Marquardt steps with the analytic Jacobian, and keep it stable.
 
-    A is held block diagonal (one block a pair of poles, complex or real), which leaves n (m + p + 2) + m p
-    parameters instead of n (n + m + p) + m p. The change of state coordinates that remains free
-    costs nothing: the damping picks the smallest step.
+    A is kept block diagonal (one block for each pair of poles, complex or real), which leaves n (m + p + 2) +
+    m p parameters instead of n (n + m + p) + m p. The remaining freedom in the state coordinates costs
+    nothing: the damping selects the smallest step.
 
     Parameters
     ----------
-    lines : what to fit
+    lines : weighted frequency response to fit
     start : stable model
     max_iterations : steps at most
     tolerance : stop when a step lowers the cost by less than this part of it
@@ -112,7 +112,7 @@ def refine(
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """The search at one model: what it leaves, and the problem linearised about it."""
+    """One point of the search: the model, its error, and the problem linearised about it."""
 
     blocks: _Blocks
     lines: WeightedLines

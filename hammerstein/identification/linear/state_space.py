@@ -31,7 +31,7 @@ def subspace(lines: WeightedLines, order: int, block_rows: int) -> Matrices:
 
     Parameters
     ----------
-    lines : what to fit
+    lines : weighted frequency response to fit
     order : number of states n
     block_rows : q, larger than n / p
 

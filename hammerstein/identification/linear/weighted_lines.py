@@ -53,8 +53,8 @@ class WeightedLines:
     target : (F, p, m) measured response, inputs and outputs scaled to unit size
     left : (F, p) weight of each output
     right : (F, m, m) factor of the input power: with it the sum is that of output errors in the experiment
-    floor : what noise and distortion add to the sum, whatever the model
-    total : the sum that the model G = 0 leaves, floor included
+    floor : contribution of noise and distortion to the sum, for any model
+    total : the sum for the model G = 0, floor included
     input_scale, output_scale : (m,), (p,) units of ``target``
     warp : factor a of the warping
     """
