@@ -96,7 +96,7 @@ def _log_rms_left(built: CandidateSet) -> float:
 
 
 def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
-    """All four kinds of model with axes of the guessed shapes; each output keeps the simplest that fits as well.
+    """All four kinds of model with axes of the guessed shapes; outputs keep the simplest that fits as well.
 
     The best one is fitted to all records, together with the thresholds if the settings ask for that. Then a
     low-pass beside a resonance and a creep mode are tried.

@@ -164,7 +164,7 @@ def _scores(
 def _starts_of_held(
     held: tuple[Record, ...], built: CandidateSet, settle_s: float, settings: Settings
 ) -> tuple[InitialState, ...]:
-    """Initial states of the validation records, by the best model or by another that explains the beginning."""
+    """Initial states of the validation records, by the best model or by one that explains the start."""
     best = built.best.candidate
     simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not best]
     return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler, best.slow_s)

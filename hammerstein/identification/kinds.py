@@ -270,8 +270,6 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
     adapted to their effect.
 
     alone : the block found without axes
-
-    alone : the block as it was found without axes
     """
     free, least = _free_delay(task), math.inf
     found = OutputDynamics((), 0.0 if free else task.delay_samples)

@@ -162,8 +162,6 @@ def trial_of(
     """Errors of a model on folds of the records, and whether it is usable.
 
     told : whether the records identify its dynamics
-
-    told : whether the records tell its dynamics
     """
     parameters = parameters_of(candidate)
     enough = READINGS * parameters <= sum(record.y_um.size for record in records)

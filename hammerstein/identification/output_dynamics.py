@@ -146,8 +146,6 @@ def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
     """The axis without slow modes and resonances that the records do not identify, removed one by one.
 
     asked : whether a number of slow modes was requested; these stay, identified or not
-
-    asked : whether a number of slow modes was asked for; they stay, told or not
     """
     whole = fit
     while fit.axis.creep and not ((asked or creep_identified(fit, one.records)) and _physical(fit.axis)):

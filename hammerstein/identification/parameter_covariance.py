@@ -1,22 +1,21 @@
 """One joint covariance of all parameters of a model: thresholds, axes, and the weights that follow them.
 
-About the model the readings of output o are, with the derivatives A_o by the numbers x beside the weights and
-G_o by the weights,
+Linearised about the model, the readings of output o are
 
     y_o ~ offset + A_o d + G_o (w + M_o d),     M_o = -C_o G_o' A_o / s_o^2,
 
-C_o the covariance of the weights for given x, s_o the rms of what is left. With the weights eliminated the
-outputs tell of d by H = sum of (A + G M)'(A + G M) / s^2.
+with the derivatives A_o with respect to the parameters x other than weights and G_o with respect to the
+weights, C_o the covariance of the weights for given x, and s_o the rms residual. With the weights eliminated,
+the outputs give the information H = sum of (A + G M)'(A + G M) / s^2 on d.
 
-* Numbers that were fitted err by (H + P)^-1, where P says how far they can be from where they are: a
-  threshold within its cell, the others by about 1, which is a large change of each. Errors may be related
-  within a sixteenth of a record (White, Econometrica 48 (1980) 817-838): where that makes one larger, it is
-  scaled.
-* What the model leaves beyond the noise is its own error. It is put down to thresholds: they differ from
-  those of the actuator by independent parts of their cells, and the numbers fitted follow. Without
-  thresholds it is put down to the numbers fitted, in the ways that the records tell least. Draws of either
-  are as large as leaves on the records what the model leaves there, by simulation: a line tells only of
-  small ones.
+* Fitted parameters have the covariance (H + P)^-1. P limits them to their possible values: a threshold to its
+cell, the others to a change of about 1, which is large for each. Errors may be correlated within a sixteenth
+of a record (White, Econometrica 48 (1980) 817-838); where that makes an error larger, it is scaled up.
+
+* The residual beyond the noise is model error. It is attributed to the thresholds: they differ from those of
+the actuator by independent fractions of their cells, and the fitted parameters follow. Without thresholds it
+is attributed to the fitted parameters, mostly along the directions that the records determine least. Either
+is scaled, by simulated draws, until it explains the residual: a linearisation holds for small changes only.
 """
 
 from __future__ import annotations
@@ -59,14 +58,14 @@ def parameter_covariance(
 ) -> ParameterCovariance | None:
     """Joint covariance of the parameters of a model whose axes do not couple the outputs.
 
-    Nothing where they do, or where the covariance of the weights is not known.
+    None where they do, or where the covariance of the weights is unknown.
 
     Parameters
     ----------
-    candidate : the model at its best for these records
-    records, starts : what it was fitted to, and what went before each
-    thresholds_fitted : whether the thresholds of plays were fitted; where those of other kinds count among
-        their free numbers, they were
+    candidate : the model, fitted to these records
+    records, starts : fitted records and their initial states
+    thresholds_fitted : whether the thresholds of plays were fitted; those of other kinds are fitted if they
+        are among their free parameters
     """
     hysteresis = candidate.hysteresis
     uncoupled = isinstance(candidate.dynamics, AxesDynamics | StaticDynamics)
@@ -94,9 +93,10 @@ def parameter_covariance(
 
 
 def _scale(hysteresis: Hysteresis[Any], size: int) -> tuple[Array, int]:
-    """How far each number (number,) can be from where it is, as a standard deviation; how many are places.
+    """Possible change of each parameter (number,), as a standard deviation, and the number of thresholds.
 
-    A place lies anywhere within half of the way to its nearest neighbour, as far as a line about it holds.
+    A threshold lies anywhere within half the distance to its nearest neighbour, where the linearisation
+    holds.
     """
     scale = np.ones(size)
     groups = hysteresis.places if isinstance(hysteresis, Identifiable) else ()
@@ -120,9 +120,9 @@ def _cells(r: Array) -> Array:
 
 
 class _Told(NamedTuple):
-    """Derivatives of a record by the numbers (output, number, sample) and the weights, and what is left.
+    """Derivatives of a record by the parameters (output, number, sample) and the weights, and the residual.
 
-    residual : the same with all samples; every : samples that are averaged in the others
+    residual : with all samples; every : number of samples averaged in the others
     """
 
     by_numbers: Array
@@ -158,7 +158,7 @@ def _told_by(candidate: Candidate, record: Record, start: InitialState, scale: A
 
 
 def _averaged(rows: Array, every: int) -> Array:
-    """Means of so many neighbours (row, sample), without what is left over at the end."""
+    """Means of this many neighbours (row, sample), without the remainder at the end."""
     return np.asarray(rows[:, : rows.shape[1] // every * every].reshape(len(rows), -1, every).mean(axis=2))
 
 
@@ -197,9 +197,9 @@ def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any], related: int) ->
 
 
 def _misfit(left: Sequence[Array], variance: Array, n: int) -> Array:
-    """Part (output,) of what is left that hangs together over n samples, beyond chance [um^2].
+    """Part (output,) of the residual that is correlated over n samples, beyond chance [um^2].
 
-    The mean of n samples of white noise has the variance s^2 / n; what it has more is no noise.
+    The mean of n samples of white noise has the variance s^2 / n; any excess is not noise.
     """
     means = np.hstack([_averaged(row, n) for row in left])
     chance = np.sqrt(2.0 / max(means.shape[1], 1)) * variance / (n - 1)
@@ -247,11 +247,11 @@ def _excess(mean: _Mean) -> float:
 def _of_places(
     mean: _Mean, told: Sequence[_Told], fitted: Indices, places: Indices, scale: Array
 ) -> tuple[Array, float]:
-    """Matrix S (number, place) of places that err by their cells, and the squares that they leave.
+    """Matrix S (number, place) of thresholds that err within their cells, and the squares they explain.
 
-    The numbers that were fitted beside them follow. With H what the records tell of n places, and their pull
-    q on them, they explain q' H^-1 q there, n of it by chance. What is left may hold more misfit than a line
-    tells.
+    The fitted parameters follow. With H the information on n thresholds and q the gradient of the residual,
+    they explain q' H^-1 q, n of it by chance. The residual may contain more model error than the
+    linearisation shows.
     """
     spread = np.zeros((len(scale), len(places)))
     if not places.size:
@@ -289,10 +289,11 @@ def _size(
     squares: float,
     most: float,
 ) -> float:
-    """Factor k, ``most`` at most, with which draws of k S leave so many squares on the records, on average.
+    """Factor k, ``most`` at most, for which draws of k S cause these squared errors on average.
 
-    A line gives the first: with H what the records tell, k S leaves k^2 tr(S' H S). Where simulated draws
-    leave less, as what plays leave does not grow with all of their cells, the factor is larger.
+    The linearisation gives the first value: with the information H, k S causes k^2 tr(S' H S). Where
+    simulated draws cause less, because the error of plays does not grow with all their cells, the factor is
+    larger.
     """
     line = float(np.sum(spread * (np.sum(mean.information, axis=0) @ spread)))
     if not (squares > 0.0 and line > 0.0):

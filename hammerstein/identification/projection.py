@@ -68,10 +68,10 @@ weights, which is another one. Weights that only keep their sign hold no slope."
 
 
 class BlockFit(NamedTuple):
-    """A block with what stands behind it.
+    """Fitted hysteresis block and the linear dynamics behind it.
 
-    rms_um : (output,) what is left [um]; held : pairs (output, input) of which a slope stands at a bound
-    at_limit : numbers of the free numbers that end at a limit: the records do not determine them
+    rms_um : (output,) rms error [um]; held : pairs (output, input) with a slope at its bound
+    at_limit : indices of free parameters at a limit: the records do not determine them
     """
 
     hysteresis: Hysteresis[Any]
@@ -95,16 +95,16 @@ def fit_block(
     refined: bool = True,
     ridge: float = 0.0,
 ) -> BlockFit:
-    """Free numbers of a block, its axes and its weights at the least that they leave together.
+    """Parameters of a block, its axes and its weights that minimise the error together.
 
     Parameters
     ----------
     task : records, starts, settings
-    begins : blocks to begin with; of several, those that leave the least of a part of the records go on
+    begins : initial blocks; of several, those with the least error on a part of the records continue
     driven : how the records drive the inputs
-    found : the axes to begin with, and the delay
-    refined : whether the numbers are searched; otherwise only the weights are found
-    ridge : penalty of what the kind has for roughness, relative to the power of its columns
+    found : initial axes and delay
+    refined : whether all parameters are fitted; otherwise only the weights
+    ridge : penalty of the kind's roughness, relative to the power of its columns
     """
     late = replace(task, delay_samples=found.delay_samples)
     if len(begins) > 1:
@@ -134,7 +134,7 @@ def _axes_of(place: _Place, found: OutputDynamics) -> tuple[Axis, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """The block and the parameters of all axes, what is left there, and the problem linearised about them."""
+    """One point of the search: block, axis parameters, error, and the problem linearised about them."""
 
     block: Identifiable
     x: tuple[Array, ...]
@@ -162,7 +162,7 @@ class _Search:
 
     @cached_property
     def shapes(self) -> tuple[AxisShape, ...]:
-        """Shape of each axis; nothing where there is none."""
+        """Shape of each axis; empty where there is no axis."""
         if not self.found.axes:
             return (AxisShape(False),) * self.task.outputs
         return tuple(parameters_of(axis)[0] for axis in self.found.axes)
@@ -205,9 +205,9 @@ class _Search:
         return self.place(np.clip(moved, lower, upper), here.solutions)
 
     def place(self, numbers: Array, near: Sequence[Solution] | None) -> _Place:
-        """What is left with given numbers, and the problem linearised about them.
+        """Error with given parameters, and the problem linearised about them.
 
-        near : weights near the best ones, with which the outputs are derived by the numbers
+        near : weights near the best ones, for the derivatives of the outputs
         """
         s = len(self.first.free)
         ends = np.cumsum([s, *(shape.parameters for shape in self.shapes)])

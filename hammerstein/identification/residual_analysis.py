@@ -38,13 +38,13 @@ OF_A_CREEPING_MODEL = (
 def residual_statements(
     candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState], settings: Settings
 ) -> list[str]:
-    """Sentences about outputs of which far more than noise is left, with what to try; none if all is well.
+    """Sentences about outputs with errors far above the noise, with proposals; none if all is well.
 
     Parameters
     ----------
     candidate : model
-    records, starts : on which it is judged, and what went before each
-    settings : how it was found: what is proposed was not tried
+    records, starts : records for the errors, and their initial states
+    settings : of the identification; only untried options are proposed
     """
     left = [candidate.residual(record, start) for record, start in zip(records, starts, strict=True)]
     samples = sum(error.shape[1] for error in left)
@@ -67,7 +67,7 @@ def residual_statements(
 def faults_left(
     candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
 ) -> list[Fault]:
-    """Faults of the records; those that dynamics or another kind explain only where the model leaves them."""
+    """Faults of the records; faults that a model can explain count only if they remain in its residual."""
     named = [fault for record in records for fault in faults(record)]
     left = [fault for fault in named if _is_left(fault, candidate, records, starts)]
     dynamics = candidate.dynamics
@@ -85,11 +85,11 @@ def is_flag(fault: Fault, records: Sequence[Record]) -> bool:
 def _is_left(
     fault: Fault, candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
 ) -> bool:
-    """Whether what was seen in a record is there still beside the model.
+    """Whether a fault of a record remains in the residual of the model.
 
-    Creep looks like drift to who knows plays alone, the bend of dead-zones like saturation, and ringing like
-    a clipped voltage; a model that has them leaves none. Plays alone leave the drift, even where their
-    weights can mimic it: it was seen beside plays.
+    To plays alone, creep looks like drift, the bend of dead-zones like saturation, and ringing like a clipped
+    voltage; a model that includes the effect leaves none of it. Plays alone never explain drift, even where
+    their weights can mimic it, because it was detected beside plays.
     """
     plain = candidate.hysteresis.kind == PLAYS and isinstance(candidate.dynamics, StaticDynamics)
     if not (fault.drift_um or fault.bent_um or fault.hump_um) or (plain and fault.drift_um):

@@ -63,7 +63,7 @@ def _of_linear_gain(task: Task) -> Task:
 
 
 def finished_static(task: Task, built: CandidateSet) -> CandidateSet:
-    """Static hysteresis with fitted thresholds if they are asked for; as it was if nothing is gained."""
+    """Static hysteresis with fitted thresholds, if requested and better; otherwise unchanged."""
     if not task.settings.fits_thresholds:
         return built
     dynamics = StaticDynamics(n_outputs=task.outputs)
@@ -98,7 +98,7 @@ def late_static(task: Task) -> Task:
 
 
 def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solver: str) -> WeightFits:
-    """Weights by the solver asked for, and by the two that it is compared with."""
+    """Weights by the requested solver, and by the two it is compared with."""
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
     moments = static_moments(

@@ -56,7 +56,7 @@ class Task:
 
     @property
     def whole_delay(self) -> int:
-        """Whole samples of the delay, by which the plays are shifted; what is left belongs to the path."""
+        """Whole samples of the delay, which shift the plays; the remainder belongs to the path."""
         return math.floor(self.delay_samples)
 
     def delayed_as(self, dynamics: Dynamics) -> Task:
@@ -78,10 +78,10 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class WeightFits:
-    """A static block under several methods, behind one and the same linear block.
+    """Static block by several methods, behind the same linear block.
 
-    ``chosen`` is by the solver that was asked for; ``free`` and ``one_sign`` serve for comparison; ``fitted``
-    says whether the thresholds were.
+    ``chosen`` is by the requested solver; ``free`` and ``one_sign`` serve for comparison; ``fitted`` is true
+    if the thresholds were fitted.
     """
 
     chosen: StaticFit
@@ -101,10 +101,10 @@ class FittedModel:
 
 @dataclass(frozen=True, eq=False)
 class CandidateSet:
-    """All models that were fitted: the best of each kind, and others by name.
+    """All fitted models: the best of each kind, and others by name.
 
-    ``axes`` is what the records say about the axes, also where the model has none; ``untold`` what they do
-    not say of the kind of hysteresis, so that plays are as good.
+    ``axes`` holds the fitted axes, also where the model has none; ``untold`` the parameters of the kind of
+    hysteresis that the records do not identify, so that plays are as good.
     """
 
     found: dict[Kind, FittedModel]

@@ -70,10 +70,10 @@ def verdict(
     kept: Kind | None = None,
     residual: Sequence[str] = (),
 ) -> str:
-    """Say which block improves the model, from the mean errors of the kinds of model.
+    """Sentences on the blocks that improve the model, from the mean errors of the kinds of model.
 
-    What the model leaves beside noise is said first. ``dynamics`` are those that were asked for: where the
-    records tell none, that is said, too. ``kept`` is the kind in the model file, the largest if not given.
+    Errors beyond noise come first. ``dynamics`` is the requested option: if the records do not identify any,
+    the verdict says so. ``kept`` is the kind in the model file; if not given, the largest.
 
     Examples
     --------
@@ -161,7 +161,7 @@ def shape_flags(
 
     Parameters
     ----------
-    records : what was fitted
+    records : fitted records
     free, one_sign : fits with free weights, and with weights of the sign of the gain
     spans_um : (output,) ranges of the outputs [um]
     direct : pairs (output, input) to be judged
@@ -205,10 +205,10 @@ def turning_back_flags(
     starts: Sequence[InitialState],
     direct: Sequence[tuple[int, int]],
 ) -> list[str]:
-    """Loops that turn back on themselves: an output returns while its voltage goes on, the model does not.
+    """Loops that turn back: an output returns while its voltage keeps its direction, and the model does not.
 
-    Counted is how far it returns until the voltage turns, so that a lag, by which it goes on after a turn, is
-    none.
+    The return is measured up to the turn of the voltage, so that a lag, which continues after a turn, does
+    not count.
     """
     found = []
     for o, k in direct:
@@ -240,7 +240,7 @@ def _returned(u: Array, y: Array) -> float:
 
 
 def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str]:
-    """What the excitation does not tell about each axis."""
+    """Parameters of each axis that the excitation does not identify."""
     found = []
     for name, fit in zip(outputs, axes, strict=True):
         if fit.one_rate and fit.axis.lag_s is not None:
@@ -310,11 +310,11 @@ def _lowers_the_error(fit: AxisFit) -> bool:
 
 
 def axis_identified(fit: AxisFit) -> bool:
-    """Whether the records tell the dynamics of an axis.
+    """Whether the records identify the dynamics of an axis.
 
-    A resonance outside the band that was excited must lower the error as much as any block that improves the
-    model: it only bends what lies below it, and what drifts or creeps bends alike. At a single rate, a lag
-    and a resonance among the first harmonics may be hysteresis.
+    A resonance outside the excited band must lower the error as much as any block that improves the model:
+    below it, it only bends the response, as drift and creep do. At a single rate, a lag and a resonance among
+    the first harmonics may be hysteresis.
     """
     if fit.one_rate or not _lowers_the_error(fit):
         return False
@@ -323,10 +323,11 @@ def axis_identified(fit: AxisFit) -> bool:
 
 
 def creep_identified(fit: AxisFit, records: Sequence[Record]) -> bool:
-    """Whether the records tell the creep of an axis: slow modes of clear size that end within a record.
+    """Whether the records identify the creep of an axis: slow modes of clear size that end within a record.
 
-    A mode that follows the drive within a radian of its slowest record cannot be told from the gain, one
-    slower than the longest record not from drift, and two at nearly one time stand for one.
+    A mode that follows the drive within a radian of its slowest record cannot be separated from the gain, nor
+    a mode slower than the longest record from drift. Two modes with nearly the same time constant count as
+    one.
     """
     longest = max(record.sample_time_s * record.samples for record in records)
     shortest = 0.5 / np.pi / min(drive_hz(record) for record in records)
@@ -346,10 +347,10 @@ def bound_notes(
     dynamic: bool,
     explained: Collection[str] = (),
 ) -> list[str]:
-    """Slopes of direct pairs that the records would have below their bound.
+    """Slopes of direct pairs that the records would place below their bound.
 
-    Slopes that the records leave open are no matter, nor those of outputs whose fault is known already. That
-    phase lag looks like hysteresis is said where the loops were seen to widen with the rate, and only there.
+    Slopes that the records do not determine are ignored, and so are outputs with a known fault. The note
+    names phase lag as a cause only if the loops widen with the rate.
     """
     found = []
     for o, k in sorted({(o, k) for o, k, _ in fit.bounded} - set(free.open)):

@@ -39,8 +39,6 @@ class OpenLoop:
     """Feedback block, and the entries of its matrices that are fitted.
 
     block : its hysteresis is ``Adjustable``; the weights stay fixed, because E scales their output
-
-    block : whose hysteresis is ``Adjustable``; its weights stay, as E scales what it gives
     entries : matrix names, A to G, and the free entries of each
     """
 

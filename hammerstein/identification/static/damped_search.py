@@ -52,13 +52,13 @@ class Tried(Generic[P]):
 def steps(
     begin: P, step: Callable[[P, float], P], cost: Callable[[P], float], damping: Damping
 ) -> Iterator[Tried[P]]:
-    """Try steps from where the last gain led to; who takes them says when the search has arrived.
+    """Try steps from the last accepted one; the caller decides when the search has converged.
 
     Parameters
     ----------
-    begin : a place of the search
-    step : place that a step leads to from a place with a damping
-    cost : what is left at a place, not to grow; infinite where nobody may stand
+    begin : initial point of the search
+    step : next point from a point and a damping
+    cost : error at a point, which must not grow; infinite at forbidden points
     """
     here, amount = begin, damping.first
     while amount <= damping.most:
@@ -79,7 +79,7 @@ def damped_change(
 ) -> Array:
     """Change of some parameters from their normal equations, each scaled by its own curvature.
 
-    One that changes nothing, beside what the others do, stays where it is.
+    A parameter without an effect of its own stays unchanged.
 
     largest : change up to which the normal equations are trusted
     least : curvature that a parameter has at least; rcond : what counts as singular once all are scaled

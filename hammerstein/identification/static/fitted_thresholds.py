@@ -28,22 +28,22 @@ WORTHWHILE = 1e-3
 
 
 def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MOST_ROUNDS) -> Grids:
-    """Thresholds of each input that leave the least squared error of all outputs.
+    """Thresholds of each input that minimise the squared error of all outputs.
 
-    Thresholds that the noise leaves open are left out, and neighbours that end within a thousandth of the
-    largest half swing are merged into one.
+    Thresholds that the noise leaves undetermined are removed, and neighbours that end within a thousandth of
+    the largest half swing are merged into one.
 
     Parameters
     ----------
     task : records and the path behind the static block
-    grids : thresholds of each input to begin with [V], sorted, below the largest half swing; their number is
-        the most that are fitted
-    rounds : most times that exchanges and steps follow each other
+    grids : initial thresholds of each input [V], sorted, below the largest half swing; at most as many are
+        fitted
+    rounds : largest number of rounds of exchanges and steps
 
     Returns
     -------
-    Grids : thresholds of each input [V], sorted, from 0 to below the largest half swing; those begun with
-        where the outputs follow no voltage, so that none of the fitted ones has a slope that was measured
+    Grids : thresholds of each input [V], sorted, from 0 to below the largest half swing; the initial ones if
+        the outputs follow no voltage, so that no fitted threshold has a measured slope
 
     Examples
     --------
@@ -73,10 +73,10 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
 
 
 def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
-    """Thresholds without those whose slope is far steeper than what was measured, the worst one first.
+    """Thresholds without those whose slope far exceeds the measured ones, the worst one first.
 
-    Just below the largest half swing a play moves at the very tips alone, where any weight explains a reading
-    or two, and beyond the recorded swing the model would run away with it.
+    Just below the largest half swing, a play moves only at the tips, where any weight explains one or two
+    readings. Beyond the recorded swing, the model would diverge with it.
     """
     reach = task.reach_v
     while True:
@@ -116,11 +116,11 @@ def merged(grid: Array, least_gap_v: float) -> Array:
 def gained(start: StaticFit, fitted: StaticFit) -> bool:
     """Whether fitted thresholds lower the error by more than their number would by chance.
 
-    The thresholds begun with are not free, their weights are.
+    The initial thresholds are not free parameters; their weights are.
 
     Parameters
     ----------
-    start, fitted : static blocks with the thresholds begun with and the fitted ones, by the same solver
+    start, fitted : static blocks with the initial and the fitted thresholds, by the same solver
     """
     p = len(start.rms_um)
     return criterion(fitted, 1 + p) < criterion(start, p)

@@ -81,20 +81,20 @@ def judged_starts(
     simpler: Sequence[Callable[[Record, InitialState], Array]] = (),
     slow_s: float = 0.0,
 ) -> tuple[InitialState, ...]:
-    """Start of each record, with a model at hand: the one that leaves the least error.
+    """Initial state of each record for a given model: the one with the least error.
 
-    A beginning that no start explains is left out. Where one of the ``simpler`` models explains it as well as
-    the model explains the rest, it stays: it is the model that is wrong there. The record then begins as
-    the one of them that leaves the least of it says.
+    A beginning that no initial state explains is excluded. It stays if one of the ``simpler`` models explains
+    it as well as the model explains the rest: then the model is wrong there, and the record takes the initial
+    state of the model with the least error.
 
     Parameters
     ----------
     records : voltages and displacements
     predict : readings (output, sample) of the model to a record [um]
-    settle_s : time in which the dynamics forget [s]
+    settle_s : settling time of the dynamics [s]
     mode : ``auto``; ``rest`` or ``repeated`` if it is known
-    simpler : what other models predict, which are judged on the same samples
-    slow_s : time constant of the model's creep, which may have been under way; 0: it has none [s]
+    simpler : predictions of other models, which are judged on the same samples
+    slow_s : time constant of the model's creep, which may have been under way [s]; 0: no creep
     """
     if mode == "rest":
         return (InitialState("rest"),) * len(records)
@@ -147,7 +147,7 @@ def _judged(
     simpler: Sequence[Callable[[Record, InitialState], Array]],
     slow_s: float,
 ) -> InitialState:
-    """Start with the least error; what is left out of the record if none explains its beginning."""
+    """Initial state with the least error; it excludes the beginning of the record if none explains it."""
     cautious = cautious_start(record)
     if record.period_samples is not None or (mode == "repeated" and closed(record)):
         return cautious
@@ -202,7 +202,7 @@ def _least(
 
 
 def _left(record: Record, predict: Callable[[Record, InitialState], Array], start: InitialState) -> float:
-    """Mean squared error of a whole record in parts of its ranges, whatever the start leaves out."""
+    """Mean squared error of a whole record relative to its ranges, excluded samples included."""
     span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
     error = (record.y_um - predict(record, start)) / span[:, None]
     return float(np.mean(error.var(axis=1)))
@@ -280,7 +280,7 @@ def decays(error: Array) -> bool:
 
 
 def alike_starts(records: Sequence[Record]) -> dict[str, tuple[InitialState, ...]]:
-    """Ways in which all records may have begun alike; periodic ones are always repeated."""
+    """Initial states that all records may have in common; periodic ones are always repeated."""
 
     def all_of(kind: str) -> tuple[InitialState, ...]:
         return tuple(
@@ -314,16 +314,16 @@ def found_starts(
     settle_s: float,
     mode: InitialStateMode = "auto",
 ) -> tuple[InitialState, ...]:
-    """Start of each record, found together with a model.
+    """Initial state of each record, found together with a model.
 
-    A model is fitted for every way in which all records may have begun alike; from the best of them on, each
-    record is judged alone with the model fitted to the starts found so far.
+    A model is fitted for each initial state that all records may have in common. Starting from the best of
+    these, each record is judged alone with the model fitted to the states found so far.
 
     Parameters
     ----------
     records : voltages and displacements
     fit : model fitted with given starts, as the readings that it predicts for a record
-    settle_s : time in which the dynamics forget [s]
+    settle_s : settling time of the dynamics [s]
     mode : ``auto``; ``rest`` or ``repeated`` if it is known
     """
     fit = cache(fit)  # one and the same start is asked for again and again
@@ -350,9 +350,9 @@ def each_alone(
     fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
     numbers: Sequence[int],
 ) -> tuple[InitialState, ...]:
-    """One record after the other may have begun otherwise, if the model fitted then leaves less of all.
+    """Change the initial state of one record after the other, if the model fitted then has a smaller error.
 
-    numbers : of the records that may
+    numbers : indices of the records that may change
     """
     if not numbers:
         return starts
@@ -372,7 +372,7 @@ def each_alone(
 
 
 def unexplained(records: Sequence[Record], starts: Sequence[InitialState]) -> list[int]:
-    """Records of which no start explains the beginning, which was left out instead."""
+    """Records whose beginning is excluded because no initial state explains it."""
     return [
         i
         for i, (record, start) in enumerate(zip(records, starts, strict=True))
@@ -385,10 +385,10 @@ def _error_of(
     starts: tuple[InitialState, ...],
     fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
 ) -> float:
-    """Mean squared error of whole records that begin so; infinite where no model can be fitted.
+    """Mean squared error of whole records with these initial states; infinite where no model can be fitted.
 
-    A beginning that is only supposed may leave plays of two inputs that never move: the records then seem not
-    to tell the inputs apart, though they do. If it is so from every beginning, the fit to the best says so.
+    With an assumed initial state, the plays of two inputs may never move, so that the records seem not to
+    separate the inputs. If this holds for every initial state, the fit to the best one reports it.
     """
     try:
         predict = fit(starts)
@@ -441,10 +441,10 @@ def _swung(records: Sequence[Record]) -> Array:
 def most_dynamic_segment(
     records: Sequence[Record], starts: Sequence[InitialState], samples: int
 ) -> tuple[tuple[Record, ...], tuple[InitialState, ...]]:
-    """Parts of the records, with a given number of samples in all, that show most of the dynamics.
+    """Parts of the records, with a given total number of samples, that show most of the dynamics.
 
-    The part of each in which the outputs move fastest, where that is clearly faster than its beginning: slow
-    cycles tell nothing of a resonance that a multisine behind them excites.
+    This is the part of each record in which the outputs move fastest, if it is clearly faster than the
+    beginning: slow cycles do not show a resonance that a later multisine excites.
     """
     most = max(samples // len(records), FEWEST)
     pairs = [

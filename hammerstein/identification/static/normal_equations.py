@@ -135,10 +135,10 @@ class Solution:
     ----------
     coefficients : (column,) estimates
     spread : (column, free unknown) S, with S S^T the covariance of the estimates, for independent errors;
-        nothing from unknowns at a bound
-    residual_rms : rms of what is left, in the unit of the output
-    at_bound : (unknown,) whether the unknown stands on its bound
-    dependent : (column,) whether the column takes part in a combination that the data leave open; such
+        without unknowns at a bound
+    residual_rms : rms residual, in the unit of the output
+    at_bound : (unknown,) whether the unknown is at its bound
+    dependent : (column,) whether the column belongs to a combination that the data do not determine; such
         combinations are set to zero
     ways : (column, free unknown) directions in which the estimates are free; empty for a problem of many
     """
@@ -151,7 +151,7 @@ class Solution:
     ways: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     def of_output(self, own: slice, residual_rms: float) -> Solution:
-        """What a problem of several outputs says of one of them."""
+        """Solution for one output of a problem with several outputs."""
         return Solution(
             self.coefficients[own], self.spread[own], residual_rms, self.at_bound[own], self.dependent[own]
         )
@@ -287,9 +287,9 @@ def _inverse_root(root: Array) -> Array:
 
 
 def _bounded(root: Array, target: Array, bounds: Bounds) -> tuple[Array, NDArray[np.bool_]]:
-    """Minimise |root x - target| between bounds; also which unknowns do not stand on theirs.
+    """Minimise |root x - target| between bounds, and return which unknowns are not at a bound.
 
-    The free unknowns are eliminated; what is left is a problem with non-negative unknowns.
+    The free unknowns are eliminated, which leaves a problem with non-negative unknowns.
     """
     held = bounds.side != 0.0
     x = np.where(held, bounds.bound, 0.0)

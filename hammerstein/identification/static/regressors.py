@@ -4,8 +4,8 @@ With the slopes c_j = w_1 + ... + w_j of a pair, the response of its operators i
 
     sum of w_j p_j = sum of c_j s_j,     s_j = p_j - p_{j+1},   s_n = p_n
 
-The differences s_j hardly overlap in what they do, so that they are well-conditioned regressors, and bounds
-on the slopes are bounds on single unknowns.
+The effects of the differences s_j hardly overlap, so they are well-conditioned regressors, and bounds on the
+slopes are bounds on single unknowns.
 """
 
 from __future__ import annotations
@@ -44,17 +44,16 @@ class Filter(Protocol):
 
 @dataclass(frozen=True)
 class InitialState:
-    """What is known of the actuator before the first sample.
+    """State of the actuator before the first sample, as far as it is known.
 
     Parameters
     ----------
-    kind : ``rest``: never driven, all plays at 0 V, from where the record counts; ``stepped``: the same at
-        another voltage, from which it stepped to the first one; ``turned``: driven from there to the voltage
-        at which it turned last, then to the first one, and held; ``repeated``: the record is what went
-        before, too
+    kind : ``rest``: never driven, all plays at the 0 V of the record; ``stepped``: the same at another
+        voltage, from which it stepped to the first one; ``turned``: driven from there to the last turning
+        point, then to the first voltage, and held; ``repeated``: the same record came before
     first : first sample that counts; earlier ones only fill the memory
-    turn_v : (input, 2) voltage at which the plays stood at first, and the one at which it turned last [V]
-    held : samples for which the first voltage had been held after a step from there: what creeps goes on
+    turn_v : (input, 2) voltage at which the plays were at rest, and the last turning point [V]
+    held : samples for which the first voltage was held after a step from there, while creep went on
     """
 
     kind: Literal["rest", "stepped", "turned", "repeated"]
@@ -119,10 +118,10 @@ def regressor_blocks(
 
 
 class PlayColumns(NamedTuple):
-    """Columns of one record before any filter, block by block: made when asked for, or kept.
+    """Columns of one record before any filter, in blocks: computed on demand, or kept.
 
-    held : (column,) what they stand at before the record
-    before : (column, sample) of a record that went before, like this one; nothing if none did
+    held : (column,) values before the record
+    before : (column, sample) of the same record played before; None if it was not
     counted : first sample and (column, sample) of the record itself
     """
 
@@ -153,7 +152,7 @@ class PlayColumns(NamedTuple):
         return PlayColumns(self.held, before, tuple(self.counted))
 
     def moves(self) -> NDArray[np.bool_]:
-        """Columns (column,) that are not zero all the time; to be asked of what is kept."""
+        """Columns (column,) that are not always zero; only for kept columns."""
         parts = [*self.before, *(x for _, x in self.counted)]
         return np.asarray(np.any([x.any(axis=1) for x in parts], axis=0) | (self.held != 0.0))
 
@@ -231,7 +230,7 @@ class Regressors:
 
 
 def _filtered(columns: Array, filters: Sequence[Filter], states: list[NDArray[Any]]) -> Array:
-    """Columns behind the filters, whose states are carried on."""
+    """Columns behind the filters, whose states continue."""
     if not filters:
         return columns
     rows = []

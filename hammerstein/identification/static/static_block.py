@@ -50,15 +50,15 @@ SHARED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class StaticFit:
-    """A static block found by regression, and how well it fits the records it was found from.
+    """Static block found by regression, and its errors on the fitted records.
 
     Parameters
     ----------
     hysteresis : thresholds, weights and their standard errors
-    offsets_um : (record, output) readings that belong to an output of zero [um]
-    rms_um : (output,) rms of what is left [um]
+    offsets_um : (record, output) reading at an output of zero [um]
+    rms_um : (output,) rms residual [um]
     samples : samples used
-    bounded : slopes (output, input, operator) that stand on their bound, counted from 0
+    bounded : slopes (output, input, operator) at their bound, counted from 0
     open : pairs (output, input) whose weights the records do not determine one by one
     """
 
@@ -123,12 +123,12 @@ def fit_static(
     records : at least one, all with the same axes
     thresholds_v : (output, input) arrays of thresholds [V]; an empty one leaves the pair out
     solver : ``least_squares``; ``nonnegative``: all weights of a pair have the sign of its gain;
-        ``invertible``: all slopes (partial sums of weights) of the direct pairs stay above a twentieth of
-        the pair's mean slope, weights may be negative
+        ``invertible``: all slopes (partial sums of weights) of the direct pairs stay above a twentieth of the
+        pair's mean slope, weights may be negative
     starts : initial state of each record; rest if not given
     delay_samples : delay of the outputs in samples
     through : linear block behind the static one with p inputs, one for all records or one each; its last p
-        outputs are what was recorded
+        outputs are the readings
     ridge : penalty of the weights but the first, relative to the power of the plays
 
     Raises
@@ -393,9 +393,9 @@ def refuse_unreached(records: Sequence[Record], grids: Sequence[Array]) -> None:
 def refuse_inseparable(record: Record, layout: SlopeColumns, moments: Sequence[Moments]) -> None:
     """Refuse records in which several inputs never move independently.
 
-    Plays of one input may depend on each other, which leaves single weights open and no more. Two inputs
-    cannot be told apart where what the plays of one span meets what those of another span: the least
-    eigenvalue of their correlations, each input whitened by itself, is then zero (canonical correlation 1).
+    Plays of one input may depend on each other; then only single weights are undetermined. Two inputs cannot
+    be separated if the spaces spanned by their plays intersect: then the least eigenvalue of their
+    correlations, each input whitened by itself, is zero (canonical correlation 1).
     """
     for o, moment in enumerate(moments):
         gram = layout.merge[o].T @ moment.gram @ layout.merge[o]

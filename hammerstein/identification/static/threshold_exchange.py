@@ -1,9 +1,9 @@
 """Thresholds from a fine grid: one at a time moves to the place with the lowest error.
 
-The error against the thresholds has many local minima: two of them may share a span where one is needed,
-and none stands where two are. Steps downhill do not lead from one such place to another, but an exchange does
-(sequential replacement: Miller, Subset Selection in Regression, 2002, section 3.4). The sums over the samples
-are gathered once for the fine grid; a play enters or leaves the regression by one sweep of their matrix
+The error has many local minima over the thresholds: two thresholds may share a span where one is needed while
+another span has none. Descent cannot move from one such minimum to another, but an exchange can (sequential
+replacement: Miller, Subset Selection in Regression, 2002, section 3.4). The sums over the samples are
+computed once for the fine grid; a play enters or leaves the regression by one sweep of their matrix
 (Goodnight, Am. Stat. 33 (1979) 149-158).
 """
 

@@ -44,14 +44,14 @@ ROUNDING = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class ThresholdTask:
-    """What stays fixed while the thresholds are fitted.
+    """Data that stay fixed while the thresholds are fitted.
 
     Parameters
     ----------
-    records, starts : what is fitted, and what went before each record
-    delay_samples : whole samples by which the outputs come late
+    records, starts : fitted records and their initial states
+    delay_samples : delay of the outputs in whole samples
     through : linear block of each record behind the static one, without coupling; empty if there is none
-    every : samples of which one is counted in the sums
+    every : of this many samples, one counts in the sums
     """
 
     records: Sequence[Record]
@@ -66,9 +66,9 @@ class ThresholdTask:
         return half_swing(self.records)
 
     def moments(self, grids: Sequence[Array], *, with_derivatives: bool) -> list[Moments]:
-        """Moments of each output with the differences of the plays, and their derivatives if asked for.
+        """Moments of each output with the differences of the plays, and their derivatives on request.
 
-        Plays of inputs that rest in a record are left out of its sums.
+        Plays of inputs that rest in a record are excluded from its sums.
         """
         driven = [
             tuple(bool(np.ptp(u) > 0.0 or (start.kind == "rest" and u[0] != 0.0)) for u in record.u_v)
