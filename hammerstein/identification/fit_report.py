@@ -194,7 +194,7 @@ def _open_places(task: Task, built: CandidateSet, known: ParameterCovariance | N
         found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
     return [
         f"{'threshold' if len(own) == 1 else 'thresholds'} {', '.join(own)} V of input {name}: the records "
-        "hardly determine the distance from its neighbours"
+        "hardly determine the distance to the next ones"
         for name, own in found.items()
     ]
 

@@ -181,16 +181,18 @@ def _saturation(trial: _Trial, largest_um: float, rows: Indices) -> str:
 
 def _clipped_commands(record: Record, stride: int, blocks: dict[int, Array]) -> Iterator[Fault]:
     """Outputs that stand still while the command goes on beyond a limit, and start again where it returns."""
-    for k in blocks:
+    readings = record.y_um[:, ::stride]
+    x = np.vstack([*blocks.values(), np.ones((1, readings.shape[1]))])
+    products = Products.of(np.vstack([x, readings]))
+    weights = np.array([products.fit(range(len(x)), len(x) + o)[0] for o in range(len(readings))])
+    size = np.maximum(readings.std(axis=1), np.finfo(float).tiny)  # outputs can have very different gains
+    ends = np.cumsum([0, *map(len, blocks.values())])
+    for k, first, stop in zip(blocks, ends, ends[1:], strict=False):
         u = record.u_v[k, ::stride]
-        centred = record.y_um - record.y_um.mean(axis=1, keepdims=True)
-        o = int(np.argmax(np.abs(centred @ (record.u_v[k] - record.u_v[k].mean()))))
-        y = record.y_um[o, ::stride]
-        others = [block for other, block in blocks.items() if other != k]
-        if others:
-            x = np.vstack([*others, blocks[k], np.ones((1, u.size))])
-            weights, _ = Products.of(np.vstack([x, y])).fit(range(len(x)), len(x))
-            y = y - weights[: sum(map(len, others))] @ np.vstack(others)
+        own = weights[:, first:stop] @ x[first:stop]
+        o = int(np.argmax(own.std(axis=1) / size))
+        others = np.r_[0:first, stop : len(x) - 1]
+        y = readings[o] - weights[o, others] @ x[others]
         for side in (1.0, -1.0):
             level = _limit(side * u, side * y)
             if level is not None:

@@ -136,7 +136,7 @@ def test_file_and_report_hold_them(identified):
     assert "## Thresholds" in page
     r = model.hysteresis.pairs[0][0].thresholds_v
     assert f"{r[-1]:.4g}" in page.split("## Thresholds")[1]
-    assert any("distance from its neighbours" in text for text in fit.not_identifiable) == bool(known.open)
+    assert any("distance to the next ones" in text for text in fit.not_identifiable) == bool(known.open)
     content = json.loads(model.to_json())
     del content["covariance"]["following"][0]
     with pytest.raises(InputError, match="for each of 2 outputs"):

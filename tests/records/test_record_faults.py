@@ -110,6 +110,23 @@ def test_a_fault_is_named_with_its_rows_and_none_of_the_others(fault, name, rows
     assert re.search(rows, said, re.DOTALL), said
 
 
+@pytest.mark.parametrize("seed", [37, 44])
+def test_axes_of_very_different_gains_are_judged_each_by_its_own_output(seed):
+    """Inputs that fall together: the output with the larger gain belongs to one input."""
+    weights = [[[0.1, 0.02, 0.02], [0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0], [1.0, 0.2, 0.2]]]
+    thresholds = np.tile([0.0, 5.0, 20.0], (2, 1))
+    stage = made_up.MadeUp(thresholds, np.array(weights), 0.0, 100.0, 2e3, (60.0, 40.0), (0.02, 0.2))
+    t, rng = np.arange(4000) / 2e3, np.random.default_rng(seed)
+    lines = np.arange(4, 80)
+    multisines = [
+        (4 / (1 + lines / 6)) @ np.cos(np.pi * np.outer(lines, t) + rng.uniform(0, 6.3, lines.size)[:, None])
+        for _ in range(2)
+    ]
+    u = np.clip(25.0 + 30.0 * np.clip(1 - t, 0, 1) + multisines, 0, 100)
+    found = faults(Record(u, stage.position_um(u), 5e-4))
+    assert not [fault for fault in found if "on its way" in fault.text]
+
+
 @pytest.mark.parametrize(("coupled", "told"), [(0.015, False), (0.5, True)])
 def test_a_bend_is_told_where_it_is_much_of_the_largest_range(coupled, told):
     u = np.sin(2.0 * np.pi * np.arange(4000) / 1000) * np.linspace(1.0, 0.3, 4000)
