@@ -37,3 +37,12 @@ def test_the_resonance_is_predicted_at_amplitudes_that_no_record_has():
         )
         assert told == pytest.approx(true, rel=2e-3)
         assert abs(true - at_rest) > 2e-3 * true
+
+
+@pytest.mark.full
+def test_three_axes_sampled_twice_as_fast_are_identified():
+    """Every level is among what is fitted and among what is held back, and no mode imitates a level."""
+    stacks, _ = at_random(3, 2.0 * PER_RESONANCE)
+    band = 0.8 / PER_RESONANCE / stacks.time_s
+    _, fit = identify_in_loop(records(stacks, band, 3), LoopSettings(minutes=3.0))
+    assert fit.held_um < 0.15 * fit.linear_um

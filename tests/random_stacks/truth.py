@@ -109,7 +109,7 @@ def width(stack, axis, amplitude_v):
     return abs(x[zero] - x[0]) / np.ptp(x)
 
 
-def at_random(seed):
+def at_random(seed, per_resonance=PER_RESONANCE):
     """One to three axes, resonances of 200 to 2000 Hz, loops 5 to 20 % wide at 2.5 V; and the widths."""
     rng = np.random.default_rng(seed)
     axes = int(rng.integers(1, 4))
@@ -123,7 +123,7 @@ def at_random(seed):
     k = rng.uniform(0.3, 1.0, (axes, 6))
     mixed = np.eye(axes) + 0.1 * rng.uniform(-1.0, 1.0, (axes, axes)) * (1.0 - np.eye(axes))
     widths = rng.uniform(0.05, 0.20, axes)
-    found = Stacks(numbers, r, k, mixed, 1.0 / PER_RESONANCE / highest)
+    found = Stacks(numbers, r, k, mixed, 1.0 / per_resonance / highest)
     for i, wanted in enumerate(widths):
         low, high = 0.0, 4.0
         for _ in range(25):

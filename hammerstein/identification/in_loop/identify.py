@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +19,16 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
-from hammerstein.identification.in_loop.start import linear_start, with_band, with_products
+from hammerstein.identification.in_loop.start import linear_start, with_band, with_plays, with_products
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.resources import one_blas_thread
 
-STATES = 6
-"""Of each output, where no order is given."""
+STATES = (2, 4, 6)
+"""Of each output, where no order is given. A model with more than it needs explains with further modes, and
+badly, that a resonance moves with the amplitude."""
 HELD = 3
 """One of so many experiments is held back while the structure is chosen."""
 FEWEST = 3
@@ -121,19 +123,42 @@ class _Work:
     def chosen(self, records: Sequence[Record], pool: Executor) -> LoopFit:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
         self.tell("fitting linear dynamics")
-        block = _linear(records, self.settings.order)
-        periods = _periods(records, block)
-        seen = [p for k, p in enumerate(periods) if k % HELD != HELD - 1]
-        held = [p for k, p in enumerate(periods) if k % HELD == HELD - 1]
-        best = LoopFit(linear_start(block, seen), np.inf, _linear_rms(block, held), 0)
-        middle = float(np.median(np.abs(np.angle(np.linalg.eigvals(block.A)))))
-        for grow in (lambda p: p, _band(middle, np.pi, seen), _band(0.0, middle, seen), with_products):
+        blocks = _linear(records, self.settings.order)
+        periods = _periods(records, blocks[-1])
+        back = _held_back(periods)
+        seen = [p for p, is_back in zip(periods, back, strict=True) if not is_back]
+        held = [p for p, is_back in zip(periods, back, strict=True) if is_back]
+        linear = min(_linear_rms(block, held) for block in blocks)
+        best = LoopFit(linear_start(blocks[0], seen), np.inf, linear, 0)
+        for block in blocks:
+            best = self._better(linear_start(block, seen), best, seen, held, pool)
+        poles = np.linalg.eigvals(best.found.full())
+        middle = float(np.median(np.abs(np.angle(poles))))
+        grown: tuple[Callable[[LoopParameters], LoopParameters | None], ...] = (
+            partial(with_band, low=middle, high=np.pi, periods=seen),
+            partial(with_band, low=0.0, high=middle, periods=seen),
+            with_products,
+            partial(with_plays, periods=seen),
+        )
+        for grow in grown:
             begun = grow(best.found)
-            if begun is None or time.monotonic() > self.end_s - 30.0 * self.settings.minutes:
-                continue
-            trial = self._tried(begun, best, seen, held, pool)
-            best = trial if trial.held_um < GAINED * best.held_um else best
+            if begun is not None:
+                best = self._better(begun, best, seen, held, pool)
         return self._all(best, periods, pool)
+
+    def _better(
+        self,
+        begun: LoopParameters,
+        best: LoopFit,
+        seen: Sequence[SettledPeriod],
+        held: Sequence[SettledPeriod],
+        pool: Executor,
+    ) -> LoopFit:
+        """Search from other parameters if there is time; return the better fit."""
+        if np.isfinite(best.held_um) and time.monotonic() > self.end_s - 30.0 * self.settings.minutes:
+            return best
+        trial = self._tried(begun, best, seen, held, pool)
+        return trial if trial.held_um < GAINED * best.held_um else best
 
     def _tried(
         self,
@@ -188,7 +213,7 @@ class _Work:
         if more.get("of") != self.digest:
             raise InputError(str(self.kept), "belongs to a search on other records; remove it to start again")
         self.tell("continuing the interrupted search")
-        periods = _periods(records, _linear(records, len(found.B)))
+        periods = _periods(records, _linear(records, len(found.B))[0])
         return self._all(LoopFit(found, more["held_um"], more["linear_um"], more["steps"]), periods, pool)
 
     def _keep(self, fit: LoopFit) -> None:
@@ -210,12 +235,6 @@ class _Work:
             return
 
 
-def _band(
-    low: float, high: float, periods: Sequence[SettledPeriod]
-) -> Callable[[LoopParameters], LoopParameters | None]:
-    return lambda found: with_band(found, low, high, periods)
-
-
 def _refuse(records: Sequence[Record]) -> None:
     if len(records) < FEWEST:
         raise IdentificationError(
@@ -227,10 +246,20 @@ def _refuse(records: Sequence[Record]) -> None:
         raise InputError("records", "have several sample times; resample them to the same sample time")
 
 
-def _linear(records: Sequence[Record], order: int | None) -> LinearBlock:
-    """State space of all experiments, of an even order."""
-    states = order or STATES * len(records[0].y_um)
-    return fit_state_space(measured_response(records), states + states % 2)
+def _linear(records: Sequence[Record], order: int | None) -> list[LinearBlock]:
+    """State spaces of all experiments, of even orders."""
+    orders = [order + order % 2] if order else [states * len(records[0].y_um) for states in STATES]
+    response = measured_response(records)
+    return [fit_state_space(response, one) for one in orders]
+
+
+def _held_back(periods: Sequence[SettledPeriod]) -> list[bool]:
+    """Which experiments select the structure: one of ``HELD`` in the order of their amplitudes.
+
+    Without the largest amplitudes, the other experiments do not determine what the hysteresis does there.
+    """
+    places = np.argsort(np.argsort([p.u.std() for p in periods], kind="stable"))
+    return [bool(place % HELD == HELD // 2) for place in places]
 
 
 def _periods(records: Sequence[Record], block: LinearBlock) -> list[SettledPeriod]:

@@ -59,11 +59,9 @@ def with_paths(
     """
     z = _largest(found, f, g, periods)
     size = z.std(axis=1)[:, None] + 1e-300
-    z, grid = z / size, np.array(THRESHOLDS)
-    plays = np.stack([play(row, grid)[:, len(row) // 2 :] for row in np.hstack([z, z])])
-    late = np.hstack([z, z])[:, None, z.shape[1] :]
-    beta = (plays * late).sum(axis=2) / (late * late).sum(axis=2)
-    h = len(found.r)
+    z, h = z / size, len(found.r)
+    grid = np.tile(THRESHOLDS, (len(z), 1))
+    beta = _straight(z, grid)
     factors = np.where(found.factors == h, h + len(e.T), found.factors)
     return replace(
         found,
@@ -72,11 +70,22 @@ def with_paths(
         G=np.vstack([found.G, g / size]),
         c=np.vstack([found.c, np.zeros(beta.shape)]),
         K=np.vstack([found.K, np.zeros((len(beta), found.K.shape[1]))]),
-        r=np.vstack([found.r, np.tile(grid, (len(beta), 1))]),
+        r=np.vstack([found.r, grid]),
         beta=np.vstack([found.beta, beta]),
         limit=np.concatenate([found.limit, BEYOND * np.abs(z).max(axis=1)]),
         factors=factors,
     )
+
+
+def with_plays(found: LoopParameters, periods: Sequence[SettledPeriod]) -> LoopParameters:
+    """Numbers with plays, whose weights are 0, between those of every path and on both sides of them."""
+    r = np.sort(found.r, axis=1)
+    wide = np.hstack([r[:, :1] ** 2 / r[:, 1:2], r, r[:, -1:] ** 2 / r[:, -2:-1]])
+    more = np.sqrt(wide[:, 1:] * wide[:, :-1])
+    beta = _straight(_largest(found, found.F, found.G, periods), more)
+    none = np.zeros(more.shape)
+    numbers = {"r": more, "c": none, "beta": beta}
+    return replace(found, **{name: np.hstack([getattr(found, name), own]) for name, own in numbers.items()})
 
 
 def with_band(
@@ -107,6 +116,13 @@ def _largest(found: LoopParameters, f: Array, g: Array, periods: Sequence[Settle
     period = max(periods, key=lambda one: float(np.var(one.y)))
     path, _ = found.path(period.u, period.warm)
     return np.asarray(f @ path[period.warm :, : len(found.B)].T + g @ period.u)
+
+
+def _straight(z: Array, r: Array) -> Array:
+    """Linear parts (h, J) of the plays r (h, J) of periodic signals z (h, sample)."""
+    twice = np.hstack([z, z])
+    plays = np.stack([play(row, own)[:, z.shape[1] :] for row, own in zip(twice, r, strict=True)])
+    return np.asarray((plays @ z[:, :, None])[:, :, 0] / (z * z).sum(axis=1)[:, None])
 
 
 def _coordinates(a: Array) -> Array:
