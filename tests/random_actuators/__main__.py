@@ -21,6 +21,10 @@ from .truth import SHAPES
 COLUMNS = (
     *("records", "actuators", "refused", "stated error 0.7 to 1.5 of the true one"),
     *("chosen within 10 % of the best", "stated numbers off by over 3 standard errors"),
+    *(
+        "error of another record 0.7 to 1.5 of the true one",
+        "rms of 6 other records 0.7 to 1.5 of the true one",
+    ),
 )
 HEAD = f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}\n"
 
@@ -32,7 +36,8 @@ def row(name, outcomes):
     stated, missed = sum(len(one.stated) for one in done), sum(len(one.missed) for one in done)
     n = max(len(done), 1)
     text = f"| {name} | {len(outcomes)} | {len(outcomes) - len(done)} | {honest} of {len(done)} "
-    return f"{text}| {best} of {len(done)} | {missed} of {stated} |", (
+    chance = [f"{sum(getattr(one, name) for one in done)} of {len(done)}" for name in ("alike", "foreseen")]
+    return f"{text}| {best} of {len(done)} | {missed} of {stated} | {' | '.join(chance)} |", (
         honest / n,
         best / n,
         missed / max(stated, 1),

@@ -36,6 +36,9 @@ def test_what_is_judged():
     assert not Outcome(0, "", "", stated_um=(1.0, 0.6), true_um=(1.0, 1.0)).honest
     assert not Outcome(0, "", "", stated_um=(1.6,), true_um=(1.0,)).honest
     assert not Outcome(0, "", "", chosen_um=1.2, best_um=1.0).best_chosen
+    others = Outcome(0, "", "", true_um=(1.0,), others_um=((0.6,), (1.2,)))
+    assert not others.alike
+    assert others.foreseen
 
 
 @pytest.mark.full

@@ -21,6 +21,8 @@ from .truth import LAWS, LINEAR, SHAPES, actuator, voltages
 
 JITTER = 0.02
 """Standard deviation of a time stamp, in parts of the sample time."""
+OTHERS = 6
+"""Further records beside the one that judges: how much the errors of a model differ between records."""
 SURE = 3.0
 """Standard errors within which a stated number lies."""
 
@@ -30,6 +32,7 @@ class Outcome:
     """What was said of an actuator, and what is true.
 
     stated_um, true_um : rms errors (output,) on the validation record, and on a further one like it
+    others_um : (record, output) the same on more records of that kind
     best_um : mean error there of the best candidate, chosen_um of the chosen one
     stated, missed : numbers of its linear part that are stated, and those off by more than 3 standard errors
     """
@@ -40,6 +43,7 @@ class Outcome:
     kind: str = ""
     stated_um: tuple[float, ...] = ()
     true_um: tuple[float, ...] = ()
+    others_um: tuple[tuple[float, ...], ...] = ()
     chosen_um: float = 0.0
     best_um: float = 0.0
     best: str = ""
@@ -50,13 +54,27 @@ class Outcome:
     @property
     def honest(self):
         """Whether the stated error is within 0.7 to 1.5 times the true one, of every output."""
-        ratios = np.array(self.stated_um) / np.array(self.true_um)
-        return bool(((ratios >= 0.7) & (ratios <= 1.5)).all())
+        return _alike(self.stated_um, self.true_um)
+
+    @property
+    def alike(self):
+        """The same of the error on another further record in place of the stated one: chance alone."""
+        return _alike(self.others_um[0], self.true_um)
+
+    @property
+    def foreseen(self):
+        """The same of the rms of all those: what the best possible statement reaches."""
+        return _alike(np.sqrt(np.mean(np.square(self.others_um), axis=0)), self.true_um)
 
     @property
     def best_chosen(self):
         """Whether the chosen candidate is within 10 % of the best one."""
         return self.chosen_um <= 1.1 * self.best_um
+
+
+def _alike(stated_um, true_um):
+    ratios = np.array(stated_um) / np.array(true_um)
+    return bool(((ratios >= 0.7) & (ratios <= 1.5)).all())
 
 
 def tried(seed, settings=None):
@@ -71,20 +89,35 @@ def tried(seed, settings=None):
         _, fit = identify(records, settings or Settings(), validation=[validation])
     except HammersteinError as error:
         return Outcome(seed, what, shape, refused=str(error)[:300])
-    ready = from_last_rest([more], accept_order=True)
-    kept = fit.candidates[fit.kind]
-    begun = judged_starts(ready, kept.predict, _settle_s(made), slow_s=kept.slow_s)
-    errors = {  # of all candidates on the same samples, each with its own start
-        kind: score(one, ready, own_starts(ready, begun, one.predict, slow_s=one.slow_s)).rms_um
-        for kind, one in fit.candidates.items()
-    }
+    errors = _errors(made, fit.candidates, fit.kind, more)
+    others = _others(made, fit, shape, seed)
     best = min(errors, key=lambda kind: sum(errors[kind]))
     stated, missed = _numbers(made, fit)
     return Outcome(
         seed, what, shape, fit.kind, tuple(map(float, fit.validation[fit.kind].rms_um)),
-        tuple(map(float, errors[fit.kind])), float(np.mean(errors[fit.kind])), float(np.mean(errors[best])),
-        best, tuple(stated), tuple(missed),
+        tuple(map(float, errors[fit.kind])), others, float(np.mean(errors[fit.kind])),
+        float(np.mean(errors[best])), best, tuple(stated), tuple(missed),
     )  # fmt: skip
+
+
+def _errors(made, candidates, kind, record):
+    """Rms errors [um] of all candidates on the same samples of a record, each with its own start."""
+    ready, kept = from_last_rest([record], accept_order=True), candidates[kind]
+    begun = judged_starts(ready, kept.predict, _settle_s(made), slow_s=kept.slow_s)
+    return {
+        name: score(one, ready, own_starts(ready, begun, one.predict, slow_s=one.slow_s)).rms_um
+        for name, one in candidates.items()
+    }
+
+
+def _others(made, fit, shape, seed):
+    """Errors (record, output) of the chosen model on ``OTHERS`` further records."""
+    g, found = np.random.default_rng([33, seed]), []
+    for _ in range(OTHERS // 2):
+        sent = voltages(made, shape, g)[1:]
+        found += _recorded(made, sent, g, shape)
+    chosen = {fit.kind: fit.candidates[fit.kind]}
+    return tuple(tuple(map(float, _errors(made, chosen, fit.kind, one)[fit.kind])) for one in found)
 
 
 def _recorded(made, sent, g, shape):
