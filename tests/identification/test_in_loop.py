@@ -58,8 +58,23 @@ def test_derivatives_are_those_of_differences():
         step = 1e-7 * max(abs(vector[i]), 0.1)
         ends = [vector.copy(), vector.copy()]
         ends[0][i], ends[1][i] = vector[i] - step, vector[i] + step
-        low, high = (0.5 * (here.at(v).simulate(u, WARM) ** 2).sum() for v in ends)
+        low, high = (0.5 * (period.left(here.at(v).simulate(u, WARM)) ** 2).sum() for v in ends)
         assert gradient[i] == pytest.approx(-(high - low) / (2 * step), rel=3e-3, abs=3e-3)
+
+
+def test_an_offset_of_the_readings_is_no_error():
+    """What was before a record holds wide plays where they are: its positions may stand off by a constant."""
+    truth = made_up()
+    (period,) = periods(truth, (1.0,))
+    moved = period._replace(y=period.y + np.array([[3.0], [-40.0]]))
+    np.testing.assert_allclose(moved.left(truth.simulate(period.u, WARM)), 0.0, atol=1e-12)
+    assert np.abs(moved.left(0.9 * period.y)).max() > 0.0
+
+
+def test_a_period_is_entered_from_as_many_as_it_takes():
+    u = multisine(3)
+    sent = SettledPeriod(u, np.zeros((2, SAMPLES)), 1.0, 2 * SAMPLES + 5).sent
+    np.testing.assert_array_equal(sent, np.tile(u, 4)[:, SAMPLES - 5 :])
 
 
 def test_poles_beyond_the_bound_have_their_derivatives():

@@ -62,11 +62,10 @@ class OpenLoop:
 
     def error(self, period: SettledPeriod) -> Array:
         """Weighted prediction error of a period (p, N); large where the simulation diverges."""
-        u = np.hstack([period.u[:, period.u.shape[1] - period.warm :], period.u])
         with np.errstate(all="ignore"):
-            left = period.y - self.block.respond(u)[0][:, period.warm :]
+            simulated = self.block.respond(period.sent)[0][:, period.warm :]
         most = FAR * np.abs(period.y).max()
-        return np.asarray(period.weight * np.clip(np.nan_to_num(left, nan=most), -most, most))
+        return period.left(np.clip(np.nan_to_num(simulated, nan=most), -most, most))
 
 
 def fit_loop(

@@ -37,8 +37,10 @@ PATIENCE = 4
 """Steps in a row after which a search ends that lowers the error of what is held back no more."""
 GAINED = 0.99
 """Part of the error held back that must be left, or more paths are not worth their numbers."""
-SETTLED = 1e-4
-"""Part of a transient that may be left of the period before."""
+SETTLED = 1e-3
+"""Part of an output by which two periods may differ that count as settled: a fifth of a noise of 0.5 %."""
+MOST_BEFORE = 8
+"""Periods that a simulation runs through at most before the one that counts."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def identify_in_loop(
             f"experiments, linear dynamics alone {fit.linear_um:.4g} um: it does not improve the "
             "model. Identify without --hysteresis-in-loop"
         )
-    largest, one = max(float(np.abs(r.u_v).max()) for r in ready), ready[0]
+    largest, one = max(float(np.abs(r.u_v + r.rest_v[:, None]).max()) for r in ready), ready[0]
     return fit.found.model(name, one.sample_time_s, largest, one.inputs, one.outputs), fit
 
 
@@ -124,7 +126,7 @@ class _Work:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
         self.tell("fitting linear dynamics")
         blocks = _linear(records, self.settings.order)
-        periods = _periods(records, blocks[-1])
+        periods = _periods(records, blocks[0])
         back = _held_back(periods)
         seen = [p for p, is_back in zip(periods, back, strict=True) if not is_back]
         held = [p for p, is_back in zip(periods, back, strict=True) if is_back]
@@ -263,39 +265,44 @@ def _held_back(periods: Sequence[SettledPeriod]) -> list[bool]:
 
 
 def _periods(records: Sequence[Record], block: LinearBlock) -> list[SettledPeriod]:
-    """Settled periods, or whole records that began at rest, without the offsets of their readings."""
-    slowest = float(np.abs(np.linalg.eigvals(block.A)).max())
-    ring = int(np.ceil(np.log(SETTLED) / np.log(min(slowest, 1.0 - 1e-6))))
+    """Settled periods, or whole records that began at rest.
+
+    A settled period began anywhere, so that its voltages count from 0 V and not from its first one.
+    """
     found = []
     for record in records:
         n = record.period_samples
-        u, y, warm = record.u_v, record.y_um, 0
+        one = SettledPeriod(record.u_v, record.y_um, 1.0, 0)
         if n and record.samples >= n:
             count = record.samples // n
             first = record.samples - max(count - 1, 1) * n
-            u = record.u_v[:, -n:]
-            y = record.y_um[:, first:].reshape(len(y), -1, n).mean(axis=1)
-            warm = min(ring, n)
-        linear = block.respond(np.hstack([u[:, len(u.T) - warm :], u]))[0][:, warm:]
-        offset = (y - linear).mean(axis=1, keepdims=True)
-        found.append(SettledPeriod(np.ascontiguousarray(u), np.ascontiguousarray(y - offset), 1.0, warm))
+            y = record.y_um[:, first:].reshape(len(record.y_um), -1, n).mean(axis=1)
+            one = SettledPeriod(record.u_v[:, -n:] + record.rest_v[:, None], y, 1.0, 0)
+            one = one._replace(warm=n * _periods_before(block, one))
+        found.append(one)
     return found
 
 
+def _periods_before(block: LinearBlock, period: SettledPeriod) -> int:
+    """Whole periods after which a block repeats itself: plays remember the largest turns of one."""
+    n = period.u.shape[1]
+    y = block.respond(np.tile(period.u, MOST_BEFORE + 1))[0].reshape(len(period.y), -1, n)
+    moved = np.abs(y[:, 1:] - y[:, :-1]).max(axis=2) / np.abs(y[:, -1]).max(axis=1, keepdims=True)
+    settled = np.flatnonzero((moved < SETTLED).all(axis=0))
+    return int(settled[0]) + 1 if len(settled) else MOST_BEFORE
+
+
 def _linear_rms(block: LinearBlock, held: Sequence[SettledPeriod]) -> float:
-    errors = [
-        p.y - block.respond(np.hstack([p.u[:, len(p.u.T) - p.warm :], p.u]))[0][:, p.warm :] for p in held
-    ]
-    return _of(errors)
+    return _of([p.left(block.respond(p.sent)[0][:, p.warm :]) for p in held])
 
 
 def _rms(found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor) -> float:
-    with np.errstate(all="ignore"):
-        return _of(list(pool.map(lambda p: p.y - found.simulate(p.u, p.warm), periods)))
+    return _of(list(pool.map(lambda p: p.left(found.simulate(p.u, p.warm)), periods)))
 
 
 def _of(errors: Sequence[Array]) -> float:
-    return float(np.sqrt(np.mean([np.mean(e * e) for e in errors])))
+    with np.errstate(all="ignore"):  # of one that diverged
+        return float(np.sqrt(np.mean([np.mean(e * e) for e in errors])))
 
 
 def _digest(records: Sequence[Record]) -> str:

@@ -113,9 +113,10 @@ class LoopParameters:
         return path, hits
 
     def simulate(self, u: Array, warm: int) -> Array:
-        """Outputs (p, N) of a periodic input (m, N), after ``warm`` samples of the period before."""
+        """Outputs (p, N) of a periodic input (m, N) after ``warm`` samples of it; they may diverge."""
         n = len(self.B)
-        return np.asarray(self.C @ self.path(u, warm)[0][warm:, :n].T + self.D @ u)
+        with np.errstate(all="ignore"):
+            return np.asarray(self.C @ self.path(u, warm)[0][warm:, :n].T + self.D @ u)
 
     def fastest(self, margin: float) -> tuple[Array, Array]:
         """How far poles of the loop lie beyond 1 - margin, and the derivatives (poles, P) of that.

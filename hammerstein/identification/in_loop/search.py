@@ -24,13 +24,24 @@ PENALTY = 1e3
 class SettledPeriod(NamedTuple):
     """One settled period of a record: voltages (m, N), positions (p, N), and what an error of it counts.
 
-    warm : samples of the period before from which a simulation starts; 0 for a record that began at rest
+    warm : samples of the same voltages that a simulation runs through before; 0 for a record from rest
     """
 
     u: Array
     y: Array
     weight: float
     warm: int = 1500
+
+    @property
+    def sent(self) -> Array:
+        """Voltages (m, warm + N) from where a simulation starts."""
+        return np.take(self.u, np.arange(-self.warm, self.u.shape[1]), axis=1, mode="wrap")
+
+    def left(self, simulated: Array) -> Array:
+        """Weighted error (p, N) of a simulation, about its mean: what was before a record adds an offset."""
+        with np.errstate(all="ignore"):  # a simulation may diverge, and its error is then not finite
+            error = self.y - simulated
+            return np.asarray(self.weight * (error - error.mean(axis=1, keepdims=True)))
 
 
 class Progress(NamedTuple):
@@ -97,11 +108,7 @@ class Search:
         return step
 
     def _errors(self, found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor) -> list[Array]:
-        def of(period: SettledPeriod) -> Array:
-            return period.weight * (period.y - found.simulate(period.u, period.warm))
-
-        with np.errstate(all="ignore"):  # a trial may diverge; its cost is then not finite
-            return list(pool.map(of, periods))
+        return list(pool.map(lambda period: period.left(found.simulate(period.u, period.warm)), periods))
 
     def _cost(self, found: LoopParameters, errors: Sequence[Array], scale: float) -> float:
         with np.errstate(all="ignore"):  # of a trial that diverged
@@ -126,14 +133,14 @@ class Search:
         path, hits = found.path(period.u, period.warm)
         source, target = found.tables()
         n = len(found.B)
-        error = period.y - (found.C @ path[period.warm :, :n].T + found.D @ period.u)
+        error = period.left(found.C @ path[period.warm :, :n].T + found.D @ period.u)
         names = ("A", "C", "E", "F", "c", "K", "beta", "r", "limit")
         numbers = [np.ascontiguousarray(getattr(found, name), dtype=np.float32) for name in names]
         slopes = np.empty((len(found.C), period.u.shape[1], len(source)), dtype=np.float32)
         single = path.astype(np.float32)
         for first in range(0, len(source), WIDTH):
             differentiate(*numbers, found.factors, single, hits, source, target, first, period.warm, slopes)
-        flat = slopes.reshape(-1, len(source))
-        weight = period.weight**2
+        slopes -= slopes.mean(axis=1, keepdims=True)
+        flat, weight = slopes.reshape(-1, len(source)), period.weight
         right = flat.T @ error.ravel().astype(np.float32)
-        return weight * (flat.T @ flat).astype(np.float64), weight * right.astype(np.float64)
+        return weight**2 * (flat.T @ flat).astype(np.float64), weight * right.astype(np.float64)
