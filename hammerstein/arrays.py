@@ -35,6 +35,11 @@ def freeze(*arrays: NDArray[Any]) -> None:
         array.flags.writeable = False
 
 
+def times(matrix: Array, signals: Array) -> Array:
+    """Product of a matrix (q, h) and signals (h,) or (h, sample), each sample to the same last bit alone."""
+    return np.asarray((matrix.reshape(*matrix.shape, *[1] * (signals.ndim - 1)) * signals).sum(axis=1))
+
+
 class ByValue:
     """A frozen value with arrays in it: equal to one of its class all of whose fields are equal.
 

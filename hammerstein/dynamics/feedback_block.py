@@ -63,14 +63,19 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
     def linearised(self, amplitude_v: float) -> LinearBlock:
         """Give the linear block with the gain of the settled loops at an amplitude of z in place of Gamma."""
-        return self._with_gain(self.hysteresis.gain(amplitude_v))
+        return self.with_gain(self.hysteresis.gain(amplitude_v))
 
-    def _with_gain(self, gain: Array) -> LinearBlock:
+    def with_gain(self, gain: Array) -> LinearBlock:
+        """Give the linear block with a gain (q, h) in place of Gamma."""
         a, b = self.A + self.E @ gain @ self.F, self.B + self.E @ gain @ self.G
         return LinearBlock(a, b, self.C, self.D, self.sample_time_s)
 
     def linearised_at(self, u: Array) -> LinearBlock:
         """Return the linear block with the gains that slow settled loops from -u to u (m,) have."""
+        return self.with_gain(self.slow_gain(u))
+
+    def slow_gain(self, u: Array) -> Array:
+        """Gains (q, h) that Gamma has in slow settled loops from -u to u (m,)."""
         return self._slow_loop(u)[0]
 
     def slow_ends(self, u: Array) -> Array:
@@ -81,17 +86,18 @@ class FeedbackBlock(SteppedBlock, ByValue):
         ends = [0.5 * (self._slow_loop(end)[1] - self._slow_loop(-end)[1]) for end in u.T]
         return np.stack(ends, axis=1)
 
-    def _slow_loop(self, u: Array) -> tuple[LinearBlock, Array]:
-        """Linear block of a slow settled loop, and the outputs (p,) at its end, at which the inputs are u."""
+    def _slow_loop(self, u: Array) -> tuple[Array, Array]:
+        """Gain (q, h) of Gamma in a slow settled loop, and outputs (p,) at its end, where inputs are u."""
         held = np.eye(len(self.A)) if self.sample_time_s != CONTINUOUS else np.zeros_like(self.A)
         x, z = self.rest()[: len(self.A)], np.full(self.hysteresis.n_inputs, np.abs(u).max())
         for _ in range(TURNS_OF_SIZES):
             sizes = np.maximum(np.abs(z), LEAST_SIZE * np.abs(u).max())
-            block = self._with_gain(self.hysteresis.amplitude(sizes) / sizes)
+            gain = self.hysteresis.amplitude(sizes) / sizes
+            block = self.with_gain(gain)
             pushed = block.B @ u + self.E @ self.products.at(z)
             x = np.linalg.lstsq(held - block.A, pushed, rcond=None)[0]
             z = self.F @ x + self.G @ u
-        return block, np.asarray(self.C @ x + self.D @ u)
+        return gain, np.asarray(self.C @ x + self.D @ u)
 
     def held(self, sample_time_s: float, late_s: float = 0.0) -> FeedbackBlock:
         """Put a block in continuous time on a grid, exactly for u and w held over each sample.
@@ -151,10 +157,10 @@ class FeedbackBlock(SteppedBlock, ByValue):
         n = len(self.A)
         if isinstance(self.hysteresis, PrandtlIshlinskii):
             return np.zeros(n + self.hysteresis.bank.r.size)
-        return np.zeros(n + self._packing.length)
+        return np.zeros(n + self.packing.length)
 
     @cached_property
-    def _packing(self) -> Packing:
+    def packing(self) -> Packing:
         """Where the numbers of Gamma's memory stand in the state."""
         return Packing(self.hysteresis.rest().as_dict())
 
@@ -183,14 +189,14 @@ class FeedbackBlock(SteppedBlock, ByValue):
     def _step_by_step(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Any kind of hysteresis, one sample after the other."""
         n = len(self.A)
-        x, memory = state[:n].copy(), self.hysteresis.restore(self._packing.unpack(state[n:]))
+        x, memory = state[:n].copy(), self.hysteresis.restore(self.packing.unpack(state[n:]))
         for t in range(first, stop):
             u = u_v[:, t]
             y_um[:, t] = self.C @ x + self.D @ u
             z = self.F @ x + self.G @ u
             w, memory = self.hysteresis.step(z, memory)
             x = self.A @ x + self.B @ u + self.E @ (w + self.products.at(z))
-        state[:n], state[n:] = x, self._packing.pack(memory.as_dict())
+        state[:n], state[n:] = x, self.packing.pack(memory.as_dict())
 
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:

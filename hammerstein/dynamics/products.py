@@ -8,7 +8,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields
+from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, times
 from hammerstein.quantities import Entry, InputNumber
 from hammerstein.validation import Strict
 
@@ -41,11 +41,10 @@ class InputProducts(ByValue):
         return cls(np.zeros((outputs, 0)), np.ones(inputs), np.zeros((0, MOST_FACTORS), dtype=np.int64))
 
     def at(self, z: Array) -> Array:
-        """What they add to w (q,) at z (h,)."""
-        if not len(self.factors):
-            return np.zeros(len(self.weights))
-        part = np.append(np.clip(z / self.limit, -1.0, 1.0), 1.0)
-        return np.asarray(self.weights @ np.prod(part[self.factors], axis=1))
+        """What they add to w (q,) or (q, sample) at z (h,) or (h, sample)."""
+        part = np.clip((z.T / self.limit).T, -1.0, 1.0)
+        each = np.prod(np.concatenate([part, np.ones_like(part[:1])])[self.factors], axis=1)
+        return times(self.weights, each)
 
 
 class ProductFile(Strict):

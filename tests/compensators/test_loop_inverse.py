@@ -108,7 +108,8 @@ def test_a_stream_in_parts_is_the_whole_to_the_last_bit(options):
         u, state = law.step(sample, state)
         steps.append(u)
     assert np.array_equal(np.hstack([*parts, np.array(steps).T]), whole)
-    assert state.as_dict() == end.as_dict()
+    after = path(800)[:, 400:]  # a memory may also keep what it does not use any more
+    assert np.array_equal(law.respond(after, state)[0], law.respond(after, end)[0])
 
 
 def test_a_delay_and_a_filter_are_looked_through():
@@ -178,5 +179,5 @@ def test_passes_that_lead_away_are_refused():
     dynamics = FeedbackHysteresisDynamics.of(gamma, sample_time_s=TIME_S, products=curved, **one)
     straight = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
     model = HammersteinModel("curved", straight, dynamics, 10.0, ("u",), ("x",))
-    with pytest.raises(SimulationError, match="they diverge on a slow path"):
+    with pytest.raises(SimulationError, match="they diverge on a trial path"):
         hammerstein.HammersteinInverse().design(model, 10.0, TIME_S)

@@ -95,8 +95,8 @@ def _pole_hz(hertz, response):
 def followed(stacks, model, lowest_hz, seed):
     """Error of a followed multisine over the noise of a reading of it; it swells from rest and dies away.
 
-    Far above 3 today: the passes of the law grow with time where a resonance is lightly damped, although they
-    converge on the slow path that chooses their number.
+    The drive leaves hardly anything of the model; what is left is the error of the model, which takes w for
+    constant over a sample, of which ten are a period of the highest resonance.
     """
     path = multisine([seed, 77], stacks.axes, PATH_PART * lowest_hz, stacks.time_s)
     swell = np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 2

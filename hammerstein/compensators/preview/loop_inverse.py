@@ -3,28 +3,122 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, times
 from hammerstein.blocks import Law, Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.compensators.preview.linear_inverse import LinearInverse, block_inverse
 from hammerstein.compensators.preview.reference_filter import filtered_by, low_pass_taps
-from hammerstein.dynamics import FeedbackBlock, on_grid, split_delay
+from hammerstein.dynamics import FeedbackBlock, LinearBlock, on_grid, split_delay
 from hammerstein.dynamics.feedback_hysteresis import FAR_V
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
 
-MOST_PASSES = 24
-"""Each costs a simulation of the model; strong hysteresis leaves 1e-4 of the path after so many."""
-SHARES = (1.0, 0.5, 0.25)
+MOST_PASSES, PATIENCE = 24, 3
+"""Passes that are tried, and how many in a row may leave more than the best before."""
+ENOUGH = 1e-4
+"""Part of the path that may be left: identified models miss it by twenty times as much and more."""
+SHARES = (0.25, 0.5, 0.1, 1.0)
 """Of the range, for the slow loops whose gains are tried."""
 TRIAL_SAMPLES = 2000  # of the path on which the passes are tried
 TRIAL_PART = 0.3
 """Of the slow reach, for the path on which the passes are tried."""
+TRIAL_BAND, TRIAL_WAVES = 0.6, 8
+"""Part of the lowest resonance up to which that path has waves, and their number: on a slow path, a gain with
+which the passes diverge near the resonance can be the best."""
+
+
+@dataclass(frozen=True, eq=False)
+class PassState(Memory):
+    """Memory of one pass.
+
+    missed : (p, reach) references still to be inverted; pushed : (q, reach) disturbances that wait for them
+    modes : (n_s,) of the inverse; moved, inner : (n,) states of the linear block; hysteresis : of Gamma
+    """
+
+    missed: Array
+    pushed: Array
+    modes: Array
+    moved: Array
+    inner: Array
+    hysteresis: Any
+
+
+@dataclass(frozen=True, eq=False)
+class LoopPass:
+    """Inverse of a loop whose hysteresis is a gain K and a known disturbance beside it.
+
+        x+ = (A + E K F) x + (B + E K G) v + E d,    y = C x + D v = r,    z = F x + G v
+
+    On the path the states follow from r, so that d, which is w - K z of the pass before, moves z little even
+    near a resonance.
+    """
+
+    block: FeedbackBlock
+    gain: Array
+
+    @cached_property
+    def inverse(self) -> LinearInverse:
+        """Inverse of the linear block; raises SimulationError where it has none."""
+        return block_inverse(self.block.with_gain(self.gain))
+
+    @cached_property
+    def _moved(self) -> LinearBlock:
+        """What d alone does to y."""
+        linear, e, c = self.block.with_gain(self.gain), self.block.E, self.block.C
+        return LinearBlock(linear.A, e, c, np.zeros((len(c), e.shape[1])), linear.sample_time_s)
+
+    @cached_property
+    def _inner(self) -> LinearBlock:
+        """From v and d to z."""
+        linear, block = self.block.with_gain(self.gain), self.block
+        g = np.hstack([block.G, np.zeros((len(block.G), block.E.shape[1]))])
+        return LinearBlock(linear.A, np.hstack([linear.B, block.E]), block.F, g, linear.sample_time_s)
+
+    def rest(self) -> PassState:
+        """Loop at rest, reference and disturbance at zero until now."""
+        reach, n, q = self.inverse.reach_samples, len(self.block.A), self.block.E.shape[1]
+        return PassState(
+            np.zeros((self.block.n_outputs, reach)),
+            np.zeros((q, reach)),
+            np.zeros(len(self.inverse.A)),
+            np.zeros(n),
+            np.zeros(n),
+            self.block.hysteresis.rest(),
+        )
+
+    def run(self, path: Array, pushed: Array, state: PassState) -> tuple[Array, Array, PassState]:
+        """Inputs v (p, N) and next d (q, N), ``reach_samples`` before the path (p, N) and d (q, N) given."""
+        samples = path.shape[1]
+        moved, moved_on = self._moved.respond(pushed, state.moved)
+        missed, waiting = np.hstack([state.missed, path - moved]), np.hstack([state.pushed, pushed])
+        modes = state.modes.copy()
+        v = self.inverse.run(missed, modes)
+        z, inner = self._inner.respond(np.vstack([v, waiting[:, :samples]]), state.inner)
+        w, hysteresis = self.block.hysteresis.respond(z, state.hysteresis)
+        d = w + self.block.products.at(z) - times(self.gain, z)
+        late = missed[:, samples:].copy(), waiting[:, samples:].copy()
+        return v, d, PassState(*late, modes, moved_on, inner, hysteresis)
+
+    def tried(self, path: Array) -> tuple[int, float]:
+        """Number of passes after the first, and the part of a path (p, N) from rest that they leave."""
+        reach, errors = self.inverse.reach_samples, []
+        known = np.hstack([path, np.zeros((len(path), reach))])
+        pushed = np.zeros((self.block.E.shape[1], known.shape[1]))
+        with np.errstate(all="ignore"):
+            for _ in range(1 + MOST_PASSES):
+                v, d, _ = self.run(known, pushed, self.rest())
+                pushed = np.hstack([d[:, reach:], np.repeat(d[:, -1:], reach, axis=1)])
+                error = path - self.block.respond(v[:, reach:])[0]
+                errors.append(float(np.nan_to_num(np.sqrt(np.mean(error**2) / np.mean(path**2)), nan=np.inf)))
+                if errors[-1] < ENOUGH or len(errors) - 1 - np.argmin(errors) >= PATIENCE:
+                    break
+        return int(np.argmin(errors)), min(errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,30 +126,24 @@ class LoopPathState(Memory):
     """Memory of the law on a stream.
 
     raw : (p, samples) references before the filter; path : (p, samples) behind it
-    missed : (1 + passes, p, samples) what each pass still inverts; modes : (1 + passes, n_s)
-    inputs : (passes, p, samples) of the dynamics, found by each pass; blocks : (passes, numbers) models
-    exact : memory of the static inverse
+    passes : memory of each pass; exact : of the static inverse
     """
 
     raw: Array
     path: Array
-    missed: Array
-    modes: Array
-    inputs: Array
-    blocks: Array
+    passes: tuple[PassState, ...]
     exact: Any
 
 
 class LoopInverseLaw(Law[LoopPathState]):
     """Inverse of a model with hysteresis in the loop of its dynamics, for a path that is known ahead.
 
-        v_0 = G^-1 r,    v_i = v_(i-1) + G^-1 (r - y(v_(i-1))),    U = Gamma_0^-1 v
+        d_0 = 0,    v_i = the inverse of the loop with Gamma = K z + d_i,    d_(i+1) = Gamma(z_i) - K z_i
 
-    y(v) is the model itself, G its linear block with the gains of slow loops over a part of the range
-    (``FeedbackBlock.linearised_at``) or of the largest amplitudes, whichever leaves least. Gamma_0 is a
-    hysteresis in front of the dynamics. G^-1 is exact on the sample grid (``linear_inverse``). Each pass
-    leaves the part of an error by which the slopes of the plays differ from those of G, and looks
-    ``reach_samples`` further ahead.
+    and U = Gamma_0^-1 v: every pass inverts a linear block exactly on the sample grid (``LoopPass``,
+    ``linear_inverse``). K are the gains of slow loops over a part of the range (``FeedbackBlock.slow_gain``)
+    or of the largest amplitudes, whichever leaves least of a trial path. Gamma_0 is a hysteresis in front of
+    the dynamics. Each pass looks ``reach_samples`` further ahead.
 
     The actuator starts at rest at its working point. A drive that stands at its range leaves the path, and
     the law does not know.
@@ -71,15 +159,15 @@ class LoopInverseLaw(Law[LoopPathState]):
     Attributes
     ----------
     preview_samples : samples that must be known ahead
-    passes, left : how many leave least of a slow path of a third of the reach, and what part of it
+    passes, left : how many leave least of the trial path, and what part of it
 
     Raises
     ------
     InputError : too little preview, a start away from the working point, and as ``HammersteinInverseLaw``
     SimulationError : no inverse of the linear block, or passes that do not come nearer to the path
 
-    Source: quasi-Newton iteration with a fixed linear model, as in Kelley, Solving Nonlinear Equations with
-    Newton's Method (SIAM, 2003), chapter 2 (chord method).
+    Source: fixed-point iteration on what a linear model leaves of the nonlinearity, with the outputs
+    prescribed; Devasia, Chen and Paden, IEEE Transactions on Automatic Control 41 (1996) 930-942, section 3.
     """
 
     def __init__(
@@ -105,9 +193,9 @@ class LoopInverseLaw(Law[LoopPathState]):
         plain = on_grid(model.dynamics.model_copy(update={"input_delay_s": late_s}), sample_time_s)
         assert isinstance(plain, FeedbackBlock)
         self.block = plain
-        self.inverse, self.passes, self.left = self._best(here)
+        self.loop, self.passes, self.left = self._best(here)
         self.taps = low_pass_taps(filter_hz, sample_time_s)
-        ahead = (1 + self.passes) * self.inverse.reach_samples
+        ahead = (1 + self.passes) * self.loop.inverse.reach_samples
         self.preview_samples = ahead + len(self.taps) // 2 + delay
         if preview_s is not None and preview_s < self.preview_samples * sample_time_s:
             needed = f"{self.preview_samples * sample_time_s:.3g} s"
@@ -118,94 +206,73 @@ class LoopInverseLaw(Law[LoopPathState]):
         ahead = self.preview_samples
         return (
             f"{self.exact.invertibility.statement()} The hysteresis in the loop is inverted in "
-            f"{self.passes} iterations, with an error of {self.left:.1g} of a slow path. The "
+            f"{self.passes} iterations, with an error of {self.left:.1g} of a trial path. The "
             f"reference must be known {ahead} samples ahead ({ahead * self.sample_time_s:.3g} s) and "
             "start at rest (--lead-in)."
         )
 
     def rest(self) -> LoopPathState:
         """Actuator at rest, reference at zero until now."""
-        p, reach = self.n_outputs, self.inverse.reach_samples
-        each = 1 + self.passes
+        p, reach = self.n_outputs, self.loop.inverse.reach_samples
         return LoopPathState(
             np.zeros((p, len(self.taps) - 1)),
             np.zeros((p, self.passes * reach)),
-            np.zeros((each, p, reach)),
-            np.zeros((each, len(self.inverse.A))),
-            np.zeros((self.passes, p, reach)),
-            np.tile(self.block.rest(), (self.passes, 1)),
+            tuple(self.loop.rest() for _ in range(1 + self.passes)),
             self.exact.rest(),
         )
 
     def _respond(self, reference_um: Array, start: LoopPathState) -> tuple[Array, LoopPathState]:
         raw = np.hstack([start.raw, reference_um])
         path = np.hstack([start.path, filtered_by(self.taps, raw)])
-        v, after = self._passed(path, start)
+        reach, samples = self.loop.inverse.reach_samples, reference_um.shape[1]
+        pushed, after = np.zeros((self.block.E.shape[1], samples)), []
+        for i, state in enumerate(start.passes):
+            late = (self.passes - i) * reach  # each pass is further behind the newest reference
+            v, pushed, one = self.loop.run(path[:, late : late + samples], pushed, state)
+            after.append(one)
         drive, exact, _ = self.exact.solve(self._from_rest(v), start.exact, np.zeros(0))
-        samples = reference_um.shape[1]
-        return drive, LoopPathState(raw[:, samples:].copy(), path[:, samples:].copy(), *after, exact)
+        return drive, LoopPathState(raw[:, samples:].copy(), path[:, samples:].copy(), tuple(after), exact)
 
-    def _passed(self, path: Array, start: LoopPathState) -> tuple[Array, tuple[Array, Array, Array, Array]]:
-        """Inputs (p, N) of the dynamics after all passes, and the parts of the memory that they move."""
-        reach = self.inverse.reach_samples
-        samples = path.shape[1] - self.passes * reach
-        modes, blocks = start.modes.copy(), start.blocks.copy()
-        missed, inputs = np.empty_like(start.missed), np.empty_like(start.inputs)
-        v = y = np.zeros((self.n_outputs, samples))
-        for i in range(1 + self.passes):
-            if i:
-                y = np.empty((self.n_outputs, samples))
-                self.block.carry_on(v, blocks[i - 1], 0, samples, y)
-            late = (self.passes - i) * reach  # each pass stands further behind the newest reference
-            known = np.hstack([start.missed[i], path[:, late : late + samples] - y])
-            change = self.inverse.run(known, modes[i])
-            missed[i] = known[:, samples:]
-            if i:
-                line = np.hstack([start.inputs[i - 1], v])
-                inputs[i - 1] = line[:, samples:]
-                change += line[:, :samples]
-            v = np.ascontiguousarray(change)
-        return v, (missed, modes, inputs, blocks)
-
-    def _best(self, model: HammersteinModel) -> tuple[LinearInverse, int, float]:
-        """Inverse and number of passes that leave least of a slow path, and that part of it.
+    def _best(self, model: HammersteinModel) -> tuple[LoopPass, int, float]:
+        """Gains and number of passes that leave least of a trial path, and that part of it.
 
         Raises SimulationError where no linear block has an inverse, or all of them lead away from the path.
         """
         half = _half(model, self.range)
         ends = model.hysteresis.amplitude(half).sum(axis=1)
         size = TRIAL_PART * np.abs(model.amplitude(half)).max(axis=1)
-        path = size[:, None] * np.sin(np.pi * np.arange(TRIAL_SAMPLES) / TRIAL_SAMPLES) ** 4
-        blocks = [self.block.linearised_at(share * ends) for share in SHARES]
+        gains = [self.block.slow_gain(share * ends) for share in SHARES]
         found, refused = [], None
-        for linear in (*blocks, self.block.linearised(FAR_V)):
+        for gain in (*gains, self.block.hysteresis.gain(FAR_V)):
+            one = LoopPass(self.block, gain)
             try:
-                inverse = block_inverse(linear)
+                found.append((one, *one.tried(_trial_path(one.inverse, size))))
             except SimulationError as error:
                 refused = error
                 continue
-            found.append((inverse, *self._tried(inverse, path)))
+            if found[-1][2] < ENOUGH:
+                break
         if not found and refused:
             raise refused
         best = min(found, key=lambda one: one[2])
         if not best[2] < 1.0:
             raise SimulationError(
                 "The hysteresis in the loop is too strong for an inverse by iterations: they diverge "
-                "on a slow path. Use law none, with feedback or learning around it"
+                "on a trial path. Use law none, with feedback or learning around it"
             )
         return best
 
-    def _tried(self, inverse: LinearInverse, path: Array) -> tuple[int, float]:
-        """Best number of passes, and the part of a path (p, N) that is missed after them."""
-        known = np.hstack([path, np.zeros((len(path), inverse.reach_samples))])
-        v, errors = np.zeros_like(path), []
-        with np.errstate(all="ignore"):
-            for _ in range(1 + MOST_PASSES):
-                v = v + inverse.run(known, np.zeros(len(inverse.A)))
-                known[:, :TRIAL_SAMPLES] = error = path - self.block.respond(v)[0]
-                errors.append(np.sqrt(np.mean(error[:, : TRIAL_SAMPLES // 2] ** 2) / np.mean(path**2)))
-        passes = int(np.argmin(np.nan_to_num(errors, nan=np.inf)))
-        return passes, float(np.nan_to_num(errors[passes], nan=np.inf))
+
+def _trial_path(inverse: LinearInverse, size_um: Array) -> Array:
+    """Swelling and fading waves (p, N) up to a part of the lowest resonance of a linear block."""
+    angles = np.abs(np.angle(np.linalg.eigvals(inverse.block.A)))
+    lowest = angles[angles > 0.0].min(initial=np.pi)
+    k = np.arange(1, 1 + TRIAL_WAVES)
+    turns = np.outer(k / TRIAL_WAVES * TRIAL_BAND * lowest, np.arange(TRIAL_SAMPLES))
+    phases = np.outer(1 + np.arange(len(size_um)), np.pi * k**2 / TRIAL_WAVES)  # Schroeder's: a low peak
+    waves = np.cos(turns + phases[:, :, None]).sum(axis=1)
+    swell = np.sin(np.pi * np.arange(TRIAL_SAMPLES) / TRIAL_SAMPLES) ** 4
+    return np.asarray((size_um / np.abs(waves).max(axis=1))[:, None] * waves * swell)
 
 
 def _half(model: HammersteinModel, limits: DriveRange) -> Array:
