@@ -16,6 +16,7 @@ from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
+from hammerstein.reporting.figures.sweep import MOST_CURVES
 from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.reporting.summary import sentences
 from hammerstein.reporting.tables import number_tables
@@ -219,16 +220,18 @@ def figure_of(name: str, report: Report) -> Shown:
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
     banded = [
-        "A line with a band shows the median and 5 to 95 % of the drawn actuators; a thin line is "
-        "the nominal actuator."
+        "A line with a band or bars shows the median and 5 to 95 % of the drawn actuators, beside the "
+        "nominal one."
     ] * bool(report.bands)
     identified = ["A vertical tick marks the frequency of a model's identification."] * bool(
         identified_at(report)
     )
+    drawn = (*report.scenario.compensators, *report.scenario.models)
+    behind = ["Grey curves are those of the other panels."] * (len(drawn) > MOST_CURVES)
     remarks = {
         "loops": ["The wide grey line is the ideal response.", _lag(report)] * compared
         + ["Dark dashes show the models."] * bool(models and len(models) <= MOST_OVERLAYS),
-        **dict.fromkeys(("sweep", "sweep_true"), identified + banded),
+        **dict.fromkeys(("sweep", "sweep_true"), identified + banded + behind),
         "trials_true": banded,
         "trials": banded,
         "errors": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared

@@ -92,8 +92,10 @@ def _pole_hz(hertz, response):
     return float(least_squares(left, [1.0, 0.03], bounds=([0.8, 1e-4], [1.2, 0.5])).x[0] * peak)
 
 
-def followed(stacks, model, lowest_hz, seed):
-    """Error of a followed multisine over the noise of a reading of it; it swells from rest and dies away.
+def followed(stacks, model, lowest_hz, highest_hz, seed):
+    """Error of a followed multisine over the noise of a reading of it, and over that of the smallest records.
+
+    It swells from rest and dies away. Records resonate, and their noise is 0.5 % of what they move.
 
     The drive leaves hardly anything of the model; what is left is the error of the model, which takes w for
     constant over a sample, of which ten are a period of the highest resonance.
@@ -105,7 +107,8 @@ def followed(stacks, model, lowest_hz, seed):
     wanted = PATH_V * gain * path * swell
     drive = HammersteinInverse().design(model, 4.0, stacks.time_s).drive_for(wanted)
     error = stacks.position_um(drive) - wanted
-    return float((error.std(axis=1) / (NOISE * wanted.std(axis=1))).max())
+    recorded = min((one.y_um.std(axis=1) for one in records(stacks, highest_hz, seed)), key=np.sum)
+    return [float((error.std(axis=1) / (NOISE * size)).max()) for size in (wanted.std(axis=1), recorded)]
 
 
 def tried(seed):
@@ -140,7 +143,8 @@ def tried(seed):
         else:
             row[f"{name}_percent"] = round(100 * float(np.abs(told / true - 1.0).max()), 4)
     row["linear_um"], row["held_um"] = f"{fit.linear_um:.4g}", f"{fit.held_um:.4g}"
-    row["followed_in_noise"] = round(followed(stacks, model, near.min(), seed), 2)
+    ratios = followed(stacks, model, near.min(), band, seed)
+    row["followed_in_noise"], row["in_noise_of_records"] = (round(ratio, 2) for ratio in ratios)
     return row | {"minutes": round((time.monotonic() - begun) / 60.0, 1)}
 
 

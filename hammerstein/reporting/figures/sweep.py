@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+MOST_CURVES = 4
+"""Of a panel; more are drawn in several rows of panels, each with the curves of the others in grey behind."""
+BEHIND = {"color": "#cccccc", "linewidth": 0.8, "zorder": 0.5}
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
 """Two bands that lie over each other stay apart."""
@@ -65,7 +69,7 @@ def sweep_figure(
     title: str = "",
     x_label: str = "frequency [Hz]",
 ) -> Figure:
-    """Curves against frequency in the paper's arrangement (Figs. 7, 9).
+    """Curves against frequency in the paper's arrangement (Figs. 7, 9), in several rows where they are many.
 
     A vertical tick on a curve stands at the frequency of its identification.
 
@@ -87,20 +91,29 @@ def sweep_figure(
     """
     rows, columns = len(panel_titles), len(panel_titles[0])
     with styled():
+        count = max(math.ceil(len(curves) / MOST_CURVES), 1)
+        groups = [part.tolist() for part in np.array_split(np.arange(len(curves)), count)]
         lines, across = (rows, columns) if columns > 1 else side_by_side(rows)
-        figure = new_figure(0.9 + lines * WIDTH_IN / max(columns, 2) * 0.7, across)
-        grid = figure.subplots(lines, across, squeeze=False, sharex=True, sharey=True)
-        for axes in grid.flat[rows * columns :]:
+        height_in = len(groups) * lines * WIDTH_IN / max(columns, 2) * 0.7
+        figure = new_figure(0.9 + height_in, across)
+        grid = figure.subplots(len(groups) * lines, across, squeeze=False, sharex=True, sharey=True)
+        cells = grid.reshape(len(groups), -1)
+        for axes in cells[:, rows * columns :].flat:
             axes.remove()
-        panels = np.reshape(grid.flat[: rows * columns], (rows, columns))
+        panels = cells[:, : rows * columns].reshape(len(groups), rows, columns)
         entries: dict[str, Artist] = {}
-        for number, curve in enumerate(curves):
-            for (o, k), axes in np.ndenumerate(panels):
-                entries[plain(curve.label)] = _draw(axes, curve, o, k, number)
+        for (group, o, k), axes in np.ndenumerate(panels):
+            for number, curve in enumerate(curves):
+                if number in groups[group]:
+                    entries[plain(curve.label)] = _draw(axes, curve, o, k, number)
+                else:
+                    axes.plot(curve.x, curve.values[o, k], **BEHIND)
+        entries = {label: entries[label] for curve in curves if (label := plain(curve.label)) in entries}
         _scale(panels, curves)
-        _draw_bands(panels, curves)
+        for own, row in zip(groups, panels, strict=True):
+            _draw_bands(row, [(number, curves[number]) for number in own])
         for number, axes in enumerate(panels.flat):
-            o, k = divmod(number, columns)
+            o, k = divmod(number % (rows * columns), columns)
             letter(axes, number, panel_titles[o][k])
             axes.set(xlabel=x_label, ylabel=quantity)
             axes.tick_params(labelbottom=True, labelleft=True)  # each panel is read alone on a telephone
@@ -122,9 +135,9 @@ def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) 
     return line
 
 
-def _draw_bands(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
+def _draw_bands(panels: np.ndarray, curves: Sequence[tuple[int, SweepCurve]]) -> None:
     """Band and nominal value of each curve: an area, or bars beside each other where areas would overlap."""
-    banded = [(number, curve) for number, curve in enumerate(curves) if curve.band is not None]
+    banded = [(number, curve) for number, curve in curves if curve.band is not None]
     for place, (number, curve) in enumerate(banded):
         assert curve.band is not None
         pen = {"color": line_style(number)["color"], "label": plain(curve.label)}
