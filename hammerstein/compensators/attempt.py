@@ -24,9 +24,9 @@ LawLike = str | Compensator
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """A law on a path whose first ``lead`` samples lead in: what it sends, and what follows from it.
+    """The drive that a law computes for a path, and what it leads to. The first ``lead`` samples lead in.
 
-    drive_v : (m, N) as it is sent; predicted : of all samples
+    drive_v : (m, N) as sent; predicted : of all samples
     """
 
     law: Law[Any]

@@ -42,11 +42,11 @@ CENTRING_ROUNDS = 20
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """One period of voltages, and the response of the model to its repetition.
+    """One period of voltages, and the model's response when it is repeated.
 
-    reference_um : (p, N) the path, counted from the start; drive_v : (m, N) as it is sent
-    played_um : (p, N) position in the last of ten periods; closure_um : what it differs from the one before
-    run_up_v : (m, K) voltages from the start to the period, to be sent once before it
+    reference_um : (p, N) path, relative to the start; drive_v : (m, N) as sent
+    played_um : (p, N) position in the last of ten periods; closure_um : its difference from the period before
+    run_up_v : (m, K) voltages from the start to the period, sent once before it
     first_um : (p, N) position in the first period after the run-up
     """
 
@@ -263,9 +263,9 @@ def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
 def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Array:
     """Settled drive (m, N) that stays on the path when it is played from the start again and again.
 
-    What a loop leaves in the plays that it does not move both ways depends on how it began, and a table
-    begins otherwise than the law: its middle comes out elsewhere, and its shape does not change. So the
-    voltages are moved until the middle is that of the path.
+    Plays that a loop does not move in both directions keep a state that depends on how the loop began. A
+    table begins differently from the law, so that its loop has another centre and the same shape. The
+    voltages are therefore shifted until the centre is that of the path.
     """
     time_s, limits = model.instruments.drive.sample_time_s, law.range
     drive, share = settled(law, model, reference_um), 1.0
@@ -294,9 +294,9 @@ def _middle(error_um: Array) -> Array:
 def played(
     model: HammersteinModel, limits: DriveRange, drive_v: Array, sample_time_s: float
 ) -> tuple[Array, float]:
-    """Position (p, N) [um] in the last of ten periods, and by how much the one before differs [um].
+    """Position (p, N) [um] in the last of ten periods, and its largest change from the one before [um].
 
-    Positions count from the start. The actuator stands at its start before the run-up.
+    Positions are relative to the start. The actuator is at rest at its start before the run-up.
     """
     return settled_position(player(model, limits, sample_time_s), drive_v, limits.start_v, sample_time_s)
 
@@ -329,12 +329,12 @@ def player(model: HammersteinModel, limits: DriveRange, sample_time_s: float) ->
 
 
 def held_least(cycle: Cycle, points: int) -> Array:
-    """Voltages (m, points), each held over N / points samples, whose played error is least.
+    """Voltages (m, points), each held over N / points samples, with the least error when they are played.
 
-    Around any voltages the settled position changes by about ``H d``: the hold, the gain of the settled
-    loops and the linear block, all periodic. The least squares of ``error + H d`` fall apart into one small
-    problem for each frequency of the table, in which the images of the hold are summed; a few rounds of
-    Gauss and Newton take care of the hysteresis, and only what lowers the error is kept.
+    Near any voltages the settled position changes by about ``H d``: the hold, the gain of the settled loops
+    and the linear block, all periodic. The least-squares problem of ``error + H d`` separates into one small
+    problem for each frequency of the table, in which the images of the hold are summed. A few Gauss-Newton
+    steps account for the hysteresis; a step is kept only if it lowers the error.
     """
     hold = cycle.drive_v.shape[1] // points
     table = cycle.drive_v.reshape(len(cycle.drive_v), points, hold).mean(axis=2)

@@ -20,9 +20,9 @@ def drive_csv(
     statements: Sequence[str],
     tell: Tell | None = None,
 ) -> str:
-    """Text of a CSV file whose last lines, each with ``#`` before it, say what must hold when it is sent.
+    """Text of a CSV file; its last lines, each starting with ``#``, state when it may be sent.
 
-    The header is the first line: spreadsheets and ``numpy.genfromtxt(names=True)`` take it from there.
+    The header is the first line, as spreadsheets and ``numpy.genfromtxt(names=True)`` expect.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Drive for real hardware, and the prediction of the model.
+    """Drive for real hardware, and what the model predicts for it.
 
     attempt : the law, the reference with its lead-in, the drive, and what the model predicts
     prediction : parts of the error
@@ -40,8 +40,8 @@ class Compensation:
     time_s : (sample,) on the drive's sample time; the path begins at its own time, a lead-in before it
     resampled : whether the file was interpolated onto the drive's sample time
     source : name of the model
-    held : whether the range is met, and what it costs is less than the model's own error
-    approach : says which holds of the path are reached from one side, where that was asked for
+    held : whether the drive is limited by the range, at an error smaller than that of the model
+    approach : statement on the holds of the path that are approached from one side, if requested
     """
 
     model: HammersteinModel
@@ -117,7 +117,7 @@ class Compensation:
         }
 
     def essentials(self) -> list[str]:
-        """Say in at most three lines what to look at before the voltages are sent; the file says the rest."""
+        """Summarise in at most three lines what to check before the voltages are sent; the file has the details."""
         warned = [*verdict_statements(self.model), *self._path_statements()]
         return [*([" ".join(warned)] if warned else []), self._start(), self._expected()]
 
@@ -193,7 +193,7 @@ def verdict_statements(model: HammersteinModel) -> list[str]:
 
 @dataclass(frozen=True)
 class Terms:
-    """Limits of a drive that the user accepts.
+    """Limits that the user sets for a drive.
 
     range_v : (low, high) for all inputs or one after the other [V]; one number N stands for -N to N; the
         range of the records, as far as the model's own drive gives it, if not given
@@ -202,7 +202,7 @@ class Terms:
     clip : accept a path that is partly out of reach
     beyond_records : accept voltages that the records did not cover
     accept_flagged : accept a model that its own fit report flagged
-    lead_in : go from where the actuator stands to where the path begins first
+    lead_in : move from the actuator's position to the beginning of the path first
     offset_um : added to the positions of each output, or of all [um]
     approach_um : distance by which a detour goes past each hold, see ``approached`` [um]
     units : of positions in a file whose columns name none, such as nm
@@ -230,7 +230,7 @@ def compensate(
 ) -> Compensation:
     """Voltages for a reference file (``time_s`` and one column for each axis, in um).
 
-    The voltages are absolute. The positions of the file count from where the actuator stands at the start.
+    The voltages are absolute. The positions of the file are relative to the actuator's position at the start.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def compensation_of(
 
 
 def _asked_path(model: HammersteinModel, path_um: Array, terms: Terms) -> tuple[Array, str]:
-    """Path (p, N) with its offset and its detours [um], and what is to be said of them."""
+    """Path (p, N) with its offset and its detours [um], and statements on them."""
     path = moved(path_um, terms.offset_um)
     if terms.approach_um is None:
         return path, ""
@@ -317,7 +317,9 @@ def moved(path_um: Array, offset_um: tuple[float, ...] | None) -> Array:
 
 
 def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
-    """Refuse a model that its own fit report flags, unless that is accepted.
+    """Refuse a model whose fit report has flags, unless they are accepted.
+
+    Raises IdentificationError with the flags of the report.
 
     Raises IdentificationError with what the report says.
     """
@@ -331,7 +333,9 @@ def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
 
 
 def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
-    """What the drive may do: the recorded range, or what is asked for.
+    """Range of the drive: that of the records, or the one that is asked for.
+
+    Raises InputError for a range or a start that does not fit the model.
 
     Raises InputError for a range or a start that does not fit the model.
     """

@@ -152,7 +152,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         return (drive, FeedbackState(PlayState(*(*stack, plays.window)), memory)) if sound else None
 
     def _at_start(self) -> tuple[FeedbackState, Array]:
-        """State where the actuator stands, whose next pass gives the start voltage, and the position."""
+        """State at the actuator's start, whose next pass gives the start voltage, and the position."""
         history = self.range.history()
         v, plays = self.hysteresis.standing(history)
         if history.shape[1] == 1:

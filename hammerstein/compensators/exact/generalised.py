@@ -68,7 +68,7 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
         return ExactInverseLaw(plays, within, softening_v, run_anyway)
 
     def statement(self) -> str:
-        """Say whether there is an inverse, and how far the drive jumps at a reversal."""
+        """State whether there is an inverse, and how far the drive jumps at a reversal."""
         return self.invertibility.statement()
 
     def rest(self) -> ExactState:

@@ -82,11 +82,11 @@ class StaticInverse(Law[S]):
     def solve(
         self, v_um: Array, start: S, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, S, Array]:
-        """Drive (m, N) for outputs (p, N) of the static block, both counted from rest, and the state after.
+        """Drive (m, N) for outputs (p, N) of the static block, both relative to rest, and the state afterwards.
 
-        away : (n,) distance of a linear block behind it from where its inverse believes it to be; the last
-            of what is returned is that distance afterwards
-        recovery : how that distance is taken away; needed if there is such a block
+        away : (n,) difference between the state of a linear block behind it and the state that its inverse assumes;
+            the last value returned is that difference afterwards
+        recovery : how this difference is removed; needed if there is such a block
         """
 
 
@@ -187,7 +187,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         return Tables(w, here)
 
     def statement(self) -> str:
-        """Say whether there is an inverse, and how far the drive jumps at a reversal."""
+        """State whether there is an inverse, and how far the drive jumps at a reversal."""
         return self.invertibility.statement()
 
     def _at_start(self) -> tuple[ExactState, Array]:

@@ -181,9 +181,10 @@ def stay(w, here):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy")
 def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
-    """Solve one sample from the memory, whatever it takes; drive and memory are those of what was reached.
+    """Solve one sample from the memory, in as many steps as needed; drive and memory are those that were
+    reached.
 
-    ready : whether the walk stands at the memory already. Returns what ``resume`` does.
+    ready : whether the walk is already at the memory. Returns what ``resume`` returns.
     """
     m = axes_of(here)
     exact = True

@@ -145,7 +145,7 @@ def _describe(w, here, k):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy", forceinline=True)
 def _below(w, k, i, j, o):  # type: ignore[no-untyped-def]
-    """What the operators from j on add to row o while segment i and those under it stand still."""
+    """What the operators from j on add to row o while segment i and the segments below it do not move."""
     value = 0.0
     if i >= 0:
         end = w[k, i].end

@@ -33,7 +33,7 @@ class RateInverseState(Memory):
 
 
 class RateDependentInverseLaw(StaticInverse[RateInverseState]):
-    """Solves ``Gamma(U) = Y_r`` in every sample with the thresholds that the samples before have set.
+    """Solves ``Gamma(U) = Y_r`` in every sample, with the thresholds that follow from the previous samples.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class RateDependentInverseLaw(StaticInverse[RateInverseState]):
         return Tables(w, here)
 
     def statement(self) -> str:
-        """Say whether there is an inverse, and how far it is from ringing."""
+        """State whether there is an inverse, and its margin to ringing."""
         gain = float(self.hysteresis.loop_gain().max())
         return (
             f"{self.invertibility.statement()} Its loop through the rate has {gain:.3g} times the "

@@ -103,9 +103,9 @@ def _zones_of(w, k, n, plays, reach, weights, events, owner, bend, order):  # ty
 
 @helper()
 def _sort(events, count, order):  # type: ignore[no-untyped-def]
-    """Put the first ``count`` of order into the order of the events; equal ones in that of their numbers.
+    """Sort the first ``count`` entries of order by event; equal events by their numbers.
 
-    What stood there before decides nothing but the time: from sample to sample the order hardly changes.
+    The previous order only affects the time this takes: it hardly changes from sample to sample.
     """
     if count != order.shape[0]:
         for i in range(order.shape[0]):

@@ -39,7 +39,7 @@ class Gains:
         return Gains(factor * self.proportional, factor * self.integral_per_s, factor * self.derivative_s)
 
     def statement(self) -> str:
-        """Say what the gains are."""
+        """State the gains."""
         axes = []
         for o, ki in enumerate(self.integral_per_s):
             text = f"output {o + 1}: {ki:.4g} /s integral, {self.proportional[o]:.3g} proportional"
@@ -54,12 +54,12 @@ class Gains:
 
 @dataclass(frozen=True, eq=False)
 class FeedbackLoop(ByValue):
-    """What a controller of each output sees: from its correction to its reading.
+    """The loop of each output's controller, from its correction to its reading.
 
         reading = S(z) G(z) z^-1 J G_0^+ correction
 
-    The correction of a sample acts on the drive of the next one. J are slopes of the hysteresis, G_0 is
-    its gain.
+    The correction of a sample acts on the drive of the next sample. J are the slopes of the hysteresis, G_0
+    is its gain.
 
     Parameters
     ----------

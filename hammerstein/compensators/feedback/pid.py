@@ -116,7 +116,7 @@ class FeedbackController(Controller[ControllerState]):
         return np.array(rows, dtype=np.float64)
 
     def statement(self) -> str:
-        """Say what the gains are."""
+        """State the gains."""
         return self.gains.statement()
 
     def rest(self) -> ControllerState:
@@ -130,9 +130,12 @@ class FeedbackController(Controller[ControllerState]):
         state: ControllerState,
         feedforward_v: ArrayLike | None = None,
     ) -> tuple[Array, ControllerState]:
-        """Voltages (m,) for the next sample, from reference and reading (p,) of this one.
+        """Voltages (m,) for the next sample, from reference and reading (p,) of this sample.
 
         feedforward_v : (m,) feedforward for the next sample; the start voltage if not given
+
+        Equal to ``closed_loop`` to the last bit. The requested voltages may exceed the range; the drive
+        limits them.
 
         Equal to ``closed_loop`` to the last bit. What is asked may lie beyond the range; the drive cuts it.
         """

@@ -32,10 +32,10 @@ def correct(reference, reading, settings, memory):  # type: ignore[no-untyped-de
 
 @compiled()
 def request(feedforward, inverse_gain, gain, limits, memory, requested):  # type: ignore[no-untyped-def]
-    """Voltages (m,) for the correction in the memory, beside a feedforward (m,).
+    """Voltages (m,) for the correction in the memory, added to a feedforward (m,).
 
-    What the range (limits: low and high, (2, m)) cuts off is taken out of the integral (back-calculation), in
-    um by the gain matrix.
+    What the range (limits: low and high, (2, m)) cuts off is removed from the integral (back-calculation), in
+    um through the gain matrix.
     """
     for k in range(requested.shape[0]):
         requested[k] = feedforward[k]

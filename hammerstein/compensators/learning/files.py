@@ -31,7 +31,7 @@ def learn_from_files(
     onlooker: Onlooker = UNWATCHED,
     before: tuple[Path, Path] | None = None,
 ) -> tuple[Cycle, IlcUpdate]:
-    """Next period of voltages, and what the trial taught.
+    """Next period of voltages, and what was learned from the trial.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def learn_from_files(
     trial : the drive file that was played, and what the sensor read: ``time_s`` and one column an output in
         um, whole settled periods, zero where the actuator stood before
     uncertainty : relative uncertainty of the model
-    onlooker : told the cost of the path before the work
+    onlooker : receives the cost of the path before the work
     before : the files of the trial before; its drive is kept if this trial was worse
 
     Raises InputError for files that do not belong together, and what ``cycle_of`` does.

@@ -26,14 +26,14 @@ MEASURED = "measured"
 class IlcUpdate:
     """Update of a drive from one trial.
 
-    drive_v : (m, N) the next period of voltages; that of the trial where nothing is left to learn
-    error_um : (p, N) mean error of the trial, the sensor's lag taken out
-    noise_um : rms of what does not repeat from period to period, in the mean that was read
-    lifted : by how much that noise is larger in the error, for the sensor's lag is taken out of it, too
-    doubt_um : standard deviation of ``error_rms_um``, from the same noise
-    learnt : lines of the spectrum that were corrected; slowest : what a trial leaves of an error at worst
-    limit_hz : from where on the model is too uncertain to learn; inf if nowhere
-    before : what the trial before taught, where it was given
+    drive_v : (m, N) next period of voltages; that of the trial if there is nothing left to learn
+    error_um : (p, N) mean error of the trial, corrected for the sensor's lag
+    noise_um : rms of what does not repeat from period to period, in the mean of the readings
+    lifted : factor by which the correction for the sensor's lag amplifies this noise
+    doubt_um : standard deviation of ``error_rms_um`` due to the same noise
+    learnt : corrected lines of the spectrum; slowest : largest part of an error that a trial leaves
+    limit_hz : frequency from which the model is too uncertain to learn; inf if there is none
+    before : result of the trial before, if given
     """
 
     drive_v: Array
@@ -62,7 +62,7 @@ class IlcUpdate:
         return self.before is not None and self.worse_than(self.before)
 
     def after(self, before: IlcUpdate, drive_v: Array) -> IlcUpdate:
-        """Return the update beside that of the trial before, whose drive (m, N) is kept if this is worse."""
+        """Compare with the trial before, and keep its drive (m, N) if this trial is worse."""
         return replace(self, before=before, drive_v=drive_v if self.worse_than(before) else self.drive_v)
 
     def worse_than(self, before: IlcUpdate) -> bool:

@@ -20,8 +20,8 @@ from hammerstein.quantities import Deviation, Frequency, Trial
 class LearnedLaw(Learner):
     """Iterative learning on the model's own inverse, see ``ilc_update``.
 
-    The first trial plays the settled period of the inverse; each one after it corrects the last by what the
-    sensor read.
+    The first trial plays the settled period of the inverse. Each further trial corrects the drive before it
+    by the sensor's readings.
 
     Parameters
     ----------
