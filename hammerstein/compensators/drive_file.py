@@ -117,7 +117,7 @@ class Compensation:
         }
 
     def essentials(self) -> list[str]:
-        """Summarise in at most three lines what to check before the voltages are sent; the file has the details."""
+        """Summarise in at most three lines what to check before sending; the file has the details."""
         warned = [*verdict_statements(self.model), *self._path_statements()]
         return [*([" ".join(warned)] if warned else []), self._start(), self._expected()]
 
@@ -320,8 +320,6 @@ def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
     """Refuse a model whose fit report has flags, unless they are accepted.
 
     Raises IdentificationError with the flags of the report.
-
-    Raises IdentificationError with what the report says.
     """
     verdict = model.verdict
     if verdict is not None and verdict.flagged and not terms.accept_flagged:
@@ -334,8 +332,6 @@ def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
 
 def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
     """Range of the drive: that of the records, or the one that is asked for.
-
-    Raises InputError for a range or a start that does not fit the model.
 
     Raises InputError for a range or a start that does not fit the model.
     """

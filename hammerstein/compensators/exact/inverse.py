@@ -82,10 +82,10 @@ class StaticInverse(Law[S]):
     def solve(
         self, v_um: Array, start: S, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, S, Array]:
-        """Drive (m, N) for outputs (p, N) of the static block, both relative to rest, and the state afterwards.
+        """Drive (m, N) for outputs (p, N) of the static block, relative to rest, and the state after it.
 
-        away : (n,) difference between the state of a linear block behind it and the state that its inverse assumes;
-            the last value returned is that difference afterwards
+        away : (n,) difference between the state of a linear block behind it and the one that its inverse
+            assumes; the last value returned is that difference afterwards
         recovery : how this difference is removed; needed if there is such a block
         """
 

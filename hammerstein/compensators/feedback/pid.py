@@ -136,8 +136,6 @@ class FeedbackController(Controller[ControllerState]):
 
         Equal to ``closed_loop`` to the last bit. The requested voltages may exceed the range; the drive
         limits them.
-
-        Equal to ``closed_loop`` to the last bit. What is asked may lie beyond the range; the drive cuts it.
         """
         return self.request(self.correct(reference_um, reading_um, state), feedforward_v)
 
