@@ -19,7 +19,12 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
-from hammerstein.identification.in_loop.start import linear_start, with_band, with_plays, with_products
+from hammerstein.identification.in_loop.start import (
+    linear_start,
+    with_band,
+    with_plays,
+    with_products,
+)
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.model import HammersteinModel

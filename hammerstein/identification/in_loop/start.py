@@ -16,6 +16,10 @@ from hammerstein.identification.in_loop.search import SettledPeriod
 
 THRESHOLDS = (0.1, 0.3, 0.8, 1.8)
 """Of the plays of a path at first, as parts of the rms of its z where that is largest."""
+COUPLING = 0.3
+"""Part of the position in the z of a path at first, beside the voltage. The charge of a stack follows
+u + T x / C, where the position has a part of T^2 / (K C): 0.2 to 0.5. From the position alone, searches ended in
+other minima."""
 BEYOND = 1.2
 """Limit of a z in products, as a part of the largest one."""
 
@@ -23,8 +27,8 @@ BEYOND = 1.2
 def linear_start(block: LinearBlock, periods: Sequence[SettledPeriod]) -> LoopParameters:
     """Parameters that reproduce a linear block, with one inactive path of plays for each input.
 
-    The z of a path is the position in the coordinates of the inputs, which is proportional to the charge of a
-    stack. Its hysteresis acts like the input; the search finds its gain.
+    The z of a path is the voltage and ``COUPLING`` of the position in the coordinates of the inputs, as the
+    charge of a stack follows both. Its hysteresis acts like the input; the search finds its gain.
     """
     to_blocks = _coordinates(block.A)
     a = np.linalg.solve(to_blocks, block.A @ to_blocks)
@@ -47,7 +51,7 @@ def linear_start(block: LinearBlock, periods: Sequence[SettledPeriod]) -> LoopPa
         limit=np.ones(h),
         factors=np.zeros((0, 3), dtype=np.int64),
     )
-    return with_paths(none, b, back @ c, back @ block.D, periods)
+    return with_paths(none, b, COUPLING * back @ c, COUPLING * back @ block.D + np.eye(m), periods)
 
 
 def with_paths(
