@@ -18,8 +18,8 @@ THRESHOLDS = (0.1, 0.3, 0.8, 1.8)
 """Of the plays of a path at first, as parts of the rms of its z where that is largest."""
 COUPLING = 0.3
 """Part of the position in the z of a path at first, beside the voltage. The charge of a stack follows
-u + T x / C, where the position has a part of T^2 / (K C): 0.2 to 0.5. From the position alone, searches ended in
-other minima."""
+u + T x / C, where the position has a part of T^2 / (K C): 0.2 to 0.5. From the position alone, searches
+ended in other minima."""
 BEYOND = 1.2
 """Limit of a z in products, as a part of the largest one."""
 
