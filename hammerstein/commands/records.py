@@ -25,7 +25,9 @@ from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_
 from hammerstein.commands.watch import Spinner
 
 if TYPE_CHECKING:
+    from hammerstein.identification.in_loop.identify import LoopSettings
     from hammerstein.records.loops import Loop
+    from hammerstein.reporting.fit_page import Asked
 
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
@@ -149,24 +151,23 @@ def identify(
 ) -> None:
     """Identify a model from measured records and report its errors and limits."""
     from hammerstein.commands.terminal_tables import fit_table, kept_aside
-    from hammerstein.errors import InputError
     from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.identify import identify as identify_model
+    from hammerstein.identification.in_loop.identify import LoopSettings
     from hammerstein.quantities import LONGEST_NAME
     from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, answer, fit_json, write_fit
     from hammerstein.runtime.storage.staging import prepare
 
-    if hysteresis_in_loop:
-        refuse_output(out, recorded.files, MODEL, overwrite)
-        if held.validate:
-            what = "cannot be used with --hysteresis-in-loop, which sets a third of the records aside itself"
-            raise InputError("--validate", what)
-        _identify_in_loop(recorded, identified.order, minutes, out, as_json)
-        return
-    settings = identified.settings(hysteresis=static.hysteresis, dead_zones=static.dead_zones)
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
+    words = [*words_of(recorded), *words_of(identified), *words_of(static), "--out", str(out)]
+    asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
+    if hysteresis_in_loop:
+        asked = asked._replace(words=["--hysteresis-in-loop", "--minutes", f"{minutes:g}", *asked.words])
+        _identify_in_loop(recorded, held, LoopSettings(identified.order, minutes), asked, as_json)
+        return
+    settings = identified.settings(hysteresis=static.hysteresis, dead_zones=static.dead_zones)
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS, overwrite)
@@ -180,8 +181,6 @@ def identify(
             name=one_line(out.stem)[:LONGEST_NAME],
             progress=spinner.tell,
         )
-    words = [*words_of(recorded), *words_of(identified), *words_of(static), "--out", str(out)]
-    asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     for place in write_fit(model, fit, out, folder, figures, overwrite, asked):
         complain(kept_aside(place))
     if as_json:
@@ -192,20 +191,23 @@ def identify(
 
 
 def _identify_in_loop(
-    recorded: RecordFiles, order: int | None, minutes: float, out: Path, as_json: bool
+    recorded: RecordFiles, held: HeldBack, settings: LoopSettings, asked: Asked, as_json: bool
 ) -> None:
     """Identify hysteresis in the loop; what is found so far is kept beside the model until that is there."""
     from hammerstein.escaping import one_line
-    from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+    from hammerstein.identification.in_loop.identify import identify_in_loop
     from hammerstein.quantities import LONGEST_NAME
+    from hammerstein.reporting.fit_page import error_of, step_after
 
-    records = recorded.read()
+    records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
+    out = asked.model_file
     kept = out.with_name(f"{out.stem}.search.json")
     with Spinner(f"searching; {kept} holds the progress, and the same command continues from it") as spinner:
         model, fit = identify_in_loop(
             records,
-            LoopSettings(order, minutes),
+            settings,
+            validation=validation,
             name=one_line(out.stem)[:LONGEST_NAME],
             kept=kept,
             progress=spinner.tell,
@@ -213,10 +215,12 @@ def _identify_in_loop(
     model.save(out)
     kept.unlink(missing_ok=True)
     if as_json:
-        tell_json({"model": str(out), "held_um": fit.held_um, "linear_um": fit.linear_um})
+        errors = {"held_um": fit.held_um, "linear_um": fit.linear_um, "rms_um": fit.judged.rms_um}
+        tell_json({"model": str(out), **errors})
         return
-    tell(fit.statement())
-    tell(f"model in {out}")
+    step = step_after(model.name, "hammerstein_inverse", fit.validated, asked)
+    error = error_of(model.outputs, fit.judged, fit.validated)
+    tell_statements([fit.statement(), error, f"Model in {out}. {' '.join(step)}"])
 
 
 @grouped

@@ -19,6 +19,7 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.compensators.kernels import STILL_V
 from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
+from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
 from hammerstein.errors import InputError
 from hammerstein.export.c_blocks import (
     CPart,
@@ -32,6 +33,14 @@ from hammerstein.export.c_blocks import (
 from hammerstein.export.forward import ForwardModel
 from hammerstein.hysteresis.asymmetric import ZoneLines
 
+NO_CODE: dict[type, str] = {
+    LoopInverseLaw: (
+        "the inverse of hysteresis in a loop iterates over a whole path and has no C code. `hammerstein "
+        "compensate MODEL PATH --table csv` writes the voltages; --law model exports the actuator itself"
+    ),
+}
+"""Laws without C code, and what serves instead."""
+
 
 @singledispatch
 def c_law_of(law: object) -> CPart:
@@ -41,7 +50,8 @@ def c_law_of(law: object) -> CPart:
     ------
     InputError : there is no template for this law
     """
-    raise InputError("--law", f"{type(law).__name__} has no C code")
+    told = NO_CODE.get(type(law), f"{type(law).__name__} has no C code")
+    raise InputError("--law", told)
 
 
 def _range(limits: DriveRange) -> CPart:

@@ -18,6 +18,7 @@ from hammerstein.experiment.selection import percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
+from hammerstein.identification.score import Score
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.runtime.storage.manifest import Owner
@@ -144,7 +145,7 @@ def write_fit(
 
 def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> list[Markdown]:
     """Whether the model is usable and for what, three numbers, and the next command."""
-    numbers = [_error(fit)]
+    numbers = [error_of(fit.outputs, fit.judged[fit.kind], bool(fit.validation))]
     if "linear" in fit.judged and fit.kind != "linear":
         linear = max(fit.judged["linear"].nrmse_percent)
         numbers.append(f"Error of a linear gain: {percent(linear / 100.0)}.")
@@ -161,7 +162,10 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
 def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> list[str]:
     """At most three lines for a terminal: use of the model and its error, first limits, next command."""
     remarks = [*fit.flags, *fit.not_identifiable, *fit.notes]
-    said = [f"{''.join(_usable(fit)).replace(' (see below)', '')} {_error(fit)}"]
+    said = [
+        f"{''.join(_usable(fit)).replace(' (see below)', '')} "
+        f"{error_of(fit.outputs, fit.judged[fit.kind], bool(fit.validation))}"
+    ]
     if remarks:
         more = len(remarks) - MOST_REMARKS
         after = f"; {more} more in the report" if more > 0 else ""
@@ -170,12 +174,11 @@ def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> lis
     return [*said, " ".join((files, *next_step(model, fit, asked))).strip()]
 
 
-def _error(fit: Fit) -> str:
-    """Rms error of each output, and the largest as a share of the range."""
-    score = fit.judged[fit.kind]
-    each = ", ".join(f"{um:.3g} um on {name}" for name, um in zip(fit.outputs, score.rms_um, strict=True))
+def error_of(outputs: Sequence[str], score: Score, validated: bool) -> str:
+    """Rms error of each output, and the largest as a share of the range, in words."""
+    each = ", ".join(f"{um:.3g} um on {name}" for name, um in zip(outputs, score.rms_um, strict=True))
     worst = percent(max(score.nrmse_percent) / 100.0)
-    records = "validation records" if fit.validation else "fitted records"
+    records = "validation records" if validated else "fitted records"
     return f"Rms error: {each}; at most {worst} of the range ({records})."
 
 
@@ -193,12 +196,15 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
     """What to do next in words, and the whole command that does it, where one does."""
     if not fit.invertible:
         return f"Next: {fit.invertibility}", ""
-    if fit.validation:
-        kept = isinstance(model.hysteresis, BoucWen)
-        law = (
-            "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
-        )
-        file = str(asked.model_file) if asked else f"{model.name}.json"
+    kept = isinstance(model.hysteresis, BoucWen)
+    law = "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
+    return step_after(model.name, law, bool(fit.validation), asked)
+
+
+def step_after(name: str, law: str, validated: bool, asked: Asked | None = None) -> tuple[str, str]:
+    """Compensate with a validated model; validate another one first."""
+    if validated:
+        file = str(asked.model_file) if asked else f"{name}.json"
         return "Next:", _command("compensate", file, "path.csv", "--law", law, "--out", "drive.csv")
     if asked is None:
         return "Next: identify again, with a validation record.", ""

@@ -7,6 +7,7 @@ from scipy.optimize import brentq
 
 import hammerstein
 from hammerstein import HammersteinModel
+from hammerstein.commands.cli import main
 from hammerstein.commands.contents import contents_of
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import InputError, SimulationError
@@ -95,6 +96,20 @@ def test_a_model_file_keeps_its_numbers(tmp_path):
     model.save(tmp_path / "stack.json")
     again, u = HammersteinModel.load(tmp_path / "stack.json"), np.random.default_rng(4).normal(size=(1, 200))
     assert np.array_equal(again.simulate(u, 1e-4).position_um, model.simulate(u, 1e-4).position_um)
+
+
+def test_export_of_the_inverse_says_what_serves_instead(tmp_path, capsys):
+    one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
+    model = HammersteinModel("stack", one, ElectromechanicalDynamics(axes=(axis(),)), 50.0, ("u",), ("x",))
+    model.save(tmp_path / "stack.json")
+    words = ["--law", "hammerstein_inverse", "--sample-time", "1e-4", "--out", str(tmp_path / "c")]
+    with pytest.raises(SystemExit) as caught:
+        main(["export", str(tmp_path / "stack.json"), *words])
+    assert caught.value.code == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "compensate MODEL PATH --table" in said
+    assert "--law model" in said
+    assert not (tmp_path / "c").exists()
 
 
 def test_two_stops_at_one_threshold_are_refused():

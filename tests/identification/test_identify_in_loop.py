@@ -65,6 +65,24 @@ def test_what_is_found_holds_between_the_amplitudes_of_the_records():
     assert model.dynamics.instability() == ""
 
 
+def test_a_model_has_what_its_records_have_and_its_error_on_one_that_was_not_fitted():
+    """Sample time and voltages of the records; the error that validation shows is the simulation's own."""
+    truth, u = stack(), multisine(60, 9.0)
+    y = np.tile(settled(truth, u), 2)
+    held = Record(np.tile(u, 2), y, TIME_S, source="held", period_samples=SAMPLES)
+    here = records(truth)
+    model, fit = identify_in_loop(here, SHORT, validation=[held])
+    assert model.instruments.drive.sample_time_s == TIME_S
+    assert model.voltages.working_point_v == (0.0,)
+    assert model.voltages.highest_v == (max(float(one.u_v.max()) for one in here),)
+    assert model.provenance["records"] == [one.source for one in here]
+    error = y[:, -SAMPLES:] - model.simulate(np.tile(u, 3), TIME_S).position_um[:, -SAMPLES:]
+    assert fit.validated
+    assert fit.judged.rms_um[0] == pytest.approx(error.std(), rel=0.02)
+    assert model.verdict.held_out
+    assert model.verdict.nrmse_percent[0] == pytest.approx(100.0 * error.std() / np.ptp(y), rel=0.02)
+
+
 def test_a_settled_period_can_begin_anywhere():
     """Voltages count from 0 V, not from the first one, and wide plays stand where a period begins."""
     truth = stack()
@@ -134,8 +152,11 @@ def test_the_command_writes_a_model_and_no_search(arrays):
     done = CliRunner().invoke(app, [*words, "--validate", str(arrays.u)])
     assert done.exit_code != 0
     assert not arrays.out.exists()
-    done = CliRunner().invoke(app, words)
+    done = CliRunner().invoke(app, words, terminal_width=1000)
     assert done.exit_code == 0, done.output
     assert "linear dynamics" in done.output
+    assert "Rms error: " in done.output
+    again = next(line for line in done.output.replace("\n", " ").split("then hammerstein ")[1:]).split()
+    assert {"--hysteresis-in-loop", "--validate", "--axes"} <= set(again)
     assert HammersteinModel.load(arrays.out).dynamics.kind == "feedback_hysteresis"
     assert not list(arrays.out.parent.glob("*.search.json"))

@@ -10,10 +10,13 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.blocks.instruments import Instruments
+from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.identify import from_last_rest
@@ -27,6 +30,7 @@ from hammerstein.identification.in_loop.start import (
 )
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
+from hammerstein.identification.score import Score, score_of
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.resources import one_blas_thread
@@ -60,22 +64,44 @@ class LoopSettings:
     minutes: float = 60.0
 
 
+Respond = Callable[[Array], tuple[Array, Any]]
+"""Outputs (p, sample) from rest to inputs (m, sample), and the state after."""
+NOT_JUDGED = Score((), (), ())
+
+
 @dataclass(frozen=True, eq=False)
 class LoopFit:
-    """Result: parameters, steps of the last search, and errors on the validation experiments [um]."""
+    """Result: parameters, steps of the last search, and its errors.
+
+    held_um, linear_um : rms error on the selection experiments of the structure before all experiments were
+        fitted, and of linear dynamics [um]
+    judged : errors of the final model on the validation records, or on the fitted ones if there are none
+    validated : whether they are from validation records
+    """
 
     found: LoopParameters
     held_um: float
     linear_um: float
     steps: int
+    judged: Score = NOT_JUDGED
+    validated: bool = False
 
     def statement(self) -> str:
-        """Say how good it is, and against which rival."""
+        """Say how large the model is, and how good against linear dynamics."""
         h, plays = self.found.r.shape
         return (
             f"order {len(self.found.B)}, {h} paths of {plays} plays, {self.found.K.shape[1]} "
             f"products: {self.held_um:.4g} um rms on the selection experiments; linear dynamics "
             f"{self.linear_um:.4g} um"
+        )
+
+    def verdict(self) -> Verdict:
+        """Verdict for the model file: its error, and by how much the loop improves it."""
+        return Verdict(
+            flagged=False,
+            held_out=self.validated,
+            sentence=f"Hysteresis in the loop: {self.statement()}.",
+            nrmse_percent=self.judged.nrmse_percent,
         )
 
 
@@ -84,6 +110,7 @@ def identify_in_loop(
     records: Sequence[Record],
     settings: LoopSettings | None = None,
     *,
+    validation: Sequence[Record] = (),
     name: str = "identified",
     kept: Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
@@ -97,6 +124,7 @@ def identify_in_loop(
     Parameters
     ----------
     records : experiments at several amplitudes, on one sample time
+    validation : records for the final error; they affect nothing else
     kept : file of the parameters found so far, written after every step; a search continues from it
 
     Raises
@@ -105,18 +133,33 @@ def identify_in_loop(
     InputError : records of several sample times, or a file of other records
     """
     asked, ready = settings or LoopSettings(), from_last_rest(records)
-    _refuse(ready)
+    held = from_last_rest(validation) if validation else ()
+    _refuse(ready, held)
     work = _Work(asked, time.monotonic() + 60.0 * asked.minutes, kept, _digest(ready), progress)
     with ThreadPoolExecutor(2) as pool:
         fit = work.resumed(ready, pool) if kept is not None and kept.is_file() else work.chosen(ready, pool)
+        fit = _judged(fit, held or ready, _working_point(ready), pool)
+    fit = replace(fit, validated=bool(held))
     if not fit.held_um < fit.linear_um:
         raise IdentificationError(
             f"hysteresis in the loop has an error of {fit.held_um:.4g} um on the selection "
             f"experiments, linear dynamics alone {fit.linear_um:.4g} um: it does not improve the "
             "model. Identify without --hysteresis-in-loop"
         )
-    largest, one = max(float(np.abs(r.u_v + r.rest_v[:, None]).max()) for r in ready), ready[0]
-    return fit.found.model(name, one.sample_time_s, largest, one.inputs, one.outputs), fit
+    return _model(fit, records, ready, name), fit
+
+
+def _model(fit: LoopFit, records: Sequence[Record], ready: Sequence[Record], name: str) -> HammersteinModel:
+    """Model of the parameters, with the voltages and the sample time of its records, and its errors."""
+    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in ready])
+    one = ready[0]
+    return replace(
+        fit.found.model(name, one.sample_time_s, float(np.abs(sent).max()), one.inputs, one.outputs),
+        voltages=Voltages.of(_working_point(ready), sent.min(axis=1), sent.max(axis=1)),
+        instruments=Instruments.ideal(one.sample_time_s),
+        provenance={"records": [Path(record.source).name for record in records]},
+        verdict=fit.verdict(),
+    )
 
 
 @dataclass(frozen=True)
@@ -131,7 +174,7 @@ class _Work:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
         self.tell("fitting linear dynamics")
         blocks = _linear(records, self.settings.order)
-        periods = _periods(records, blocks[0])
+        periods = _periods(records, blocks[0].respond, _working_point(records))
         back = _held_back(periods)
         seen = [p for p, is_back in zip(periods, back, strict=True) if not is_back]
         held = [p for p, is_back in zip(periods, back, strict=True) if is_back]
@@ -220,7 +263,8 @@ class _Work:
         if more.get("of") != self.digest:
             raise InputError(str(self.kept), "belongs to a search on other records; remove it to start again")
         self.tell("continuing the interrupted search")
-        periods = _periods(records, _linear(records, len(found.B))[0])
+        block = _linear(records, len(found.B))[0]
+        periods = _periods(records, block.respond, _working_point(records))
         return self._all(LoopFit(found, more["held_um"], more["linear_um"], more["steps"]), periods, pool)
 
     def _keep(self, fit: LoopFit) -> None:
@@ -242,14 +286,14 @@ class _Work:
             return
 
 
-def _refuse(records: Sequence[Record]) -> None:
+def _refuse(records: Sequence[Record], held: Sequence[Record]) -> None:
     if len(records) < FEWEST:
         raise IdentificationError(
             f"hysteresis in the loop needs {FEWEST} experiments, because some select the structure; "
             f"there {('is' if len(records) == 1 else 'are')} {len(records)}. Record more, at several "
             "amplitudes"
         )
-    if len({record.sample_time_s for record in records}) > 1:
+    if len({record.sample_time_s for record in (*records, *held)}) > 1:
         raise InputError("records", "have several sample times; resample them to the same sample time")
 
 
@@ -269,29 +313,52 @@ def _held_back(periods: Sequence[SettledPeriod]) -> list[bool]:
     return [bool(place % HELD == HELD // 2) for place in places]
 
 
-def _periods(records: Sequence[Record], block: LinearBlock) -> list[SettledPeriod]:
-    """Settled periods, or whole records that began at rest.
+def _period(record: Record) -> int:
+    """Samples of its settled period; 0 for a record from rest."""
+    n = record.period_samples or 0
+    return n if record.samples >= n else 0
 
-    A settled period began anywhere, so that its voltages count from 0 V and not from its first one.
+
+def _working_point(records: Sequence[Record]) -> Array:
+    """Voltages [V] from which the loop counts: where a record began at rest; 0 V if all are periods.
+
+    A settled period began anywhere.
+    """
+    begun = [record.rest_v for record in records if not _period(record)]
+    return begun[0] if begun else np.zeros(len(records[0].u_v))
+
+
+def _judged(fit: LoopFit, records: Sequence[Record], working_point_v: Array, pool: Executor) -> LoopFit:
+    """Add the errors of the final model on records."""
+    block = fit.found.dynamics(records[0].sample_time_s).block()
+    periods = _periods(records, block.respond, working_point_v)
+    errors = list(pool.map(lambda p: p.left(fit.found.simulate(p.u, p.warm)), periods))
+    return replace(fit, judged=score_of(errors, [p.y for p in periods]))
+
+
+def _periods(records: Sequence[Record], respond: Respond, working_point_v: Array) -> list[SettledPeriod]:
+    """Settled periods, counted from a working point, or whole records, counted from where they began.
+
+    respond : of a model that settles as the actuator does
     """
     found = []
     for record in records:
-        n = record.period_samples
+        n = _period(record)
         one = SettledPeriod(record.u_v, record.y_um, 1.0, 0)
-        if n and record.samples >= n:
+        if n:
             count = record.samples // n
             first = record.samples - max(count - 1, 1) * n
             y = record.y_um[:, first:].reshape(len(record.y_um), -1, n).mean(axis=1)
-            one = SettledPeriod(record.u_v[:, -n:] + record.rest_v[:, None], y, 1.0, 0)
-            one = one._replace(warm=n * _periods_before(block, one))
+            one = SettledPeriod(record.u_v[:, -n:] + (record.rest_v - working_point_v)[:, None], y, 1.0, 0)
+            one = one._replace(warm=n * _periods_before(respond, one))
         found.append(one)
     return found
 
 
-def _periods_before(block: LinearBlock, period: SettledPeriod) -> int:
+def _periods_before(respond: Respond, period: SettledPeriod) -> int:
     """Whole periods after which a block repeats itself: plays remember the largest turns of one."""
     n = period.u.shape[1]
-    y = block.respond(np.tile(period.u, MOST_BEFORE + 1))[0].reshape(len(period.y), -1, n)
+    y = respond(np.tile(period.u, MOST_BEFORE + 1))[0].reshape(len(period.y), -1, n)
     moved = np.abs(y[:, 1:] - y[:, :-1]).max(axis=2) / np.abs(y[:, -1]).max(axis=1, keepdims=True)
     settled = np.flatnonzero((moved < SETTLED).all(axis=0))
     return int(settled[0]) + 1 if len(settled) else MOST_BEFORE
