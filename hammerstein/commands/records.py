@@ -25,9 +25,12 @@ from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_
 from hammerstein.commands.watch import Spinner
 
 if TYPE_CHECKING:
+    from hammerstein.identification.fit import Fit
     from hammerstein.identification.in_loop.identify import LoopSettings
+    from hammerstein.identification.settings import Settings
+    from hammerstein.model import HammersteinModel
     from hammerstein.records.loops import Loop
-    from hammerstein.reporting.fit_page import Asked
+    from hammerstein.records.record import Record
 
 MOST_NAMED = 3
 """Records whose names make up that of a folder."""
@@ -151,38 +154,31 @@ def identify(
 ) -> None:
     """Identify a model from measured records and report its errors and limits."""
     from hammerstein.commands.terminal_tables import fit_table, kept_aside
-    from hammerstein.escaping import one_line
     from hammerstein.files import refuse_unwritable
-    from hammerstein.identification.identify import identify as identify_model
     from hammerstein.identification.in_loop.identify import LoopSettings
-    from hammerstein.quantities import LONGEST_NAME
     from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, answer, fit_json, write_fit
     from hammerstein.runtime.storage.staging import prepare
 
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
-    words = [*words_of(recorded), *words_of(identified), *words_of(static), "--out", str(out)]
-    asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
-    if hysteresis_in_loop:
-        asked = asked._replace(words=["--hysteresis-in-loop", "--minutes", f"{minutes:g}", *asked.words])
-        _identify_in_loop(recorded, held, LoopSettings(identified.order, minutes), asked, as_json)
-        return
-    settings = identified.settings(hysteresis=static.hysteresis, dead_zones=static.dead_zones)
+    settings: Settings | LoopSettings = (
+        LoopSettings(identified.order, minutes)
+        if hysteresis_in_loop
+        else identified.settings(hysteresis=static.hysteresis, dead_zones=static.dead_zones)
+    )
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS, overwrite)
+    words = [*words_of(recorded), *words_of(identified), *words_of(static), "--out", str(out)]
+    if hysteresis_in_loop:
+        words += ["--hysteresis-in-loop", "--minutes", f"{minutes:g}"]
+    asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
-    with Spinner() as spinner:
-        model, fit = identify_model(
-            records,
-            settings,
-            validation=validation,
-            name=one_line(out.stem)[:LONGEST_NAME],
-            progress=spinner.tell,
-        )
+    model, fit = _identified(records, settings, validation, out)
     for place in write_fit(model, fit, out, folder, figures, overwrite, asked):
         complain(kept_aside(place))
+    search_file(out).unlink(missing_ok=True)
     if as_json:
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return
@@ -190,37 +186,27 @@ def identify(
     tell_statements(answer(model, fit, folder, asked))
 
 
-def _identify_in_loop(
-    recorded: RecordFiles, held: HeldBack, settings: LoopSettings, asked: Asked, as_json: bool
-) -> None:
-    """Identify hysteresis in the loop; what is found so far is kept beside the model until that is there."""
-    from hammerstein.escaping import one_line
-    from hammerstein.identification.in_loop.identify import identify_in_loop
-    from hammerstein.quantities import LONGEST_NAME
-    from hammerstein.reporting.fit_page import error_of, step_after
+def search_file(model: Path) -> Path:
+    """Where the progress of a search for hysteresis in the loop is kept until there is a model."""
+    return model.with_name(f"{model.stem}.search.json")
 
-    records, validation = recorded.read(), held.read(recorded)
-    recorded.gains(records)
-    out = asked.model_file
-    kept = out.with_name(f"{out.stem}.search.json")
+
+def _identified(
+    records: Sequence[Record], settings: Settings | LoopSettings, validation: Sequence[Record], out: Path
+) -> tuple[HammersteinModel, Fit]:
+    """Model and fit report, with progress on the terminal."""
+    from hammerstein.escaping import one_line
+    from hammerstein.identification.identify import identify as identify_model
+    from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+    from hammerstein.quantities import LONGEST_NAME
+
+    same: dict[str, Any] = {"validation": validation, "name": one_line(out.stem)[:LONGEST_NAME]}
+    if not isinstance(settings, LoopSettings):
+        with Spinner() as spinner:
+            return identify_model(records, settings, progress=spinner.tell, **same)
+    kept = search_file(out)
     with Spinner(f"searching; {kept} holds the progress, and the same command continues from it") as spinner:
-        model, fit = identify_in_loop(
-            records,
-            settings,
-            validation=validation,
-            name=one_line(out.stem)[:LONGEST_NAME],
-            kept=kept,
-            progress=spinner.tell,
-        )
-    model.save(out)
-    kept.unlink(missing_ok=True)
-    if as_json:
-        errors = {"held_um": fit.held_um, "linear_um": fit.linear_um, "rms_um": fit.judged.rms_um}
-        tell_json({"model": str(out), **errors})
-        return
-    step = step_after(model.name, "hammerstein_inverse", fit.validated, asked)
-    error = error_of(model.outputs, fit.judged, fit.validated)
-    tell_statements([fit.statement(), error, f"Model in {out}. {' '.join(step)}"])
+        return identify_in_loop(records, settings, kept=kept, progress=spinner.tell, **same)
 
 
 @grouped

@@ -17,7 +17,7 @@ from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.records.record import Record
 
-Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "classical", "hammerstein"]
+Kind = Literal["linear", "static_hysteresis", "linear_dynamics", "classical", "hammerstein", "in_loop"]
 
 KIND_NAMES: Mapping[Kind, str] = {
     "linear": "linear gain",
@@ -25,6 +25,7 @@ KIND_NAMES: Mapping[Kind, str] = {
     "linear_dynamics": "linear dynamics alone",
     "classical": "the same with plays alone",
     "hammerstein": "Hammerstein",
+    "in_loop": "hysteresis in the loop",
 }
 
 

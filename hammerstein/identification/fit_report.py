@@ -51,7 +51,7 @@ class Errors(NamedTuple):
     trials: tuple[Trial, ...]
 
 
-def _left_out(records: Sequence[Record]) -> list[str]:
+def left_out(records: Sequence[Record]) -> list[str]:
     """Outliers that the records were read without."""
     return [
         f"{record.source}: excluded outliers of {found.column}: {found.describe()}"
@@ -92,7 +92,7 @@ def fit_of(
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
         sensor_delay_s=settings.sensor_delay_s,
-        offsets_um=tuple(tuple(row) for row in _offsets(best, task).tolist()),
+        offsets_um=offsets(best, task.records, task.starts),
         starts=task.starts,
         held_starts=held_starts,
         axes=_sure_axes(built.best, known),
@@ -102,7 +102,7 @@ def fit_of(
         not_identifiable=tuple(_unknown(task, built, response, known)),
         flags=tuple(flags),
         notes=(
-            *_left_out([*task.records, *held]),
+            *left_out([*task.records, *held]),
             *(fault.text for fault in named if not is_flag(fault, task.records)),
             *built.notes,
             *_bounds(task, built, named),
@@ -199,13 +199,13 @@ def _open_places(task: Task, built: CandidateSet, known: ParameterCovariance | N
     ]
 
 
-def _offsets(best: Candidate, task: Task) -> Array:
+def offsets(
+    best: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
+) -> tuple[tuple[float, ...], ...]:
     """Reading (record, output) that belongs to an output of zero [um]."""
-    return np.array(
-        [
-            (record.y_um - best.predict(record, start))[:, start.first :].mean(axis=1)
-            for record, start in zip(task.records, task.starts, strict=True)
-        ]
+    return tuple(
+        tuple((record.y_um - best.predict(record, start))[:, start.first :].mean(axis=1).tolist())
+        for record, start in zip(records, starts, strict=True)
     )
 
 
@@ -217,11 +217,9 @@ def _rest_um(fit: Fit, best: Candidate) -> tuple[float, ...]:
     return ()
 
 
-def model_of(
-    task: Task, fit: Fit, best: Candidate, name: str, instruments: Instruments | None
-) -> HammersteinModel:
+def model_of(fit: Fit, best: Candidate, name: str, instruments: Instruments | None) -> HammersteinModel:
     """What the model file holds: blocks, voltages as recorded, instruments and verdict."""
-    record = task.records[0]
+    record = fit.records[0]
     bandwidth = fit.sensor_bandwidth_hz
     if instruments is None:
         instruments = Instruments.ideal(record.sample_time_s)
@@ -237,7 +235,7 @@ def model_of(
         outputs=record.outputs,
         instruments=instruments,
         provenance={
-            "records": [Path(r.source).name for r in task.records],
+            "records": [Path(r.source).name for r in fit.records],
             "solver": fit.solver,
             "amplitudes_v": list(fit.amplitudes_v),
             "delay_samples": fit.delay_samples,

@@ -145,7 +145,7 @@ def identify(
         built.best.candidate, task.records, task.starts, plain and built.best.blocks.fitted
     )
     fit = fit_of(task, built, curve, errors, voltages_of(records, ready, task.starts), known)
-    return model_of(task, fit, built.best.candidate, name, instruments), fit
+    return model_of(fit, built.best.candidate, name, instruments), fit
 
 
 def _scores(

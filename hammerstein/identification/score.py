@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, Dynamics
+from hammerstein.dynamics import AxesDynamics, Dynamics, LinearBlock
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.identification.sensor_model import SensorModel
@@ -19,7 +19,7 @@ from hammerstein.records.record import Record
 
 AT_REST = 0.01
 """Part of the swing by which a voltage may have moved while the actuator counts as at rest."""
-_path = lru_cache(maxsize=16)(SensorModel.path)
+_block = lru_cache(maxsize=16)(SensorModel.block)
 """Many starts are tried with one and the same model."""
 
 
@@ -43,7 +43,7 @@ class Candidate:
 
     def predict(self, record: Record, start: InitialState) -> Array:
         """Readings (output, sample) to the voltages of a record, without offset [um]."""
-        block = _path(self.sensor, self.dynamics, record.sample_time_s)
+        block = _block(self.sensor, self.dynamics, record.sample_time_s)
         hysteresis = self.hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
         before = begun(hysteresis, record, start)
         v, memory = hysteresis.respond(record.u_v, before)
@@ -52,7 +52,7 @@ class Candidate:
             y, state = block.respond(v)
         else:
             held, _ = hysteresis.respond(path_before(record, start)[:, -1:], before)
-            state = block.settled(held[:, 0])
+            state = block.settled(held[:, 0]) if isinstance(block, LinearBlock) else block.rest()
             if start.held:
                 _, state = block.respond(np.repeat(v[:, :1], start.held, axis=1), state)
             y, state = block.respond(v, state)

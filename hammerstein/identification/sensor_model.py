@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hammerstein.dynamics import Dynamics, LinearBlock, StaticDynamics, discretise, split_delay
+from hammerstein.dynamics import (
+    Dynamics,
+    FeedbackBlock,
+    LinearBlock,
+    StaticDynamics,
+    discretise,
+    on_grid,
+    split_delay,
+)
 from hammerstein.errors import InputError
 from hammerstein.records.checks import FEWEST_SAMPLES
 from hammerstein.records.record import Record
@@ -64,9 +72,16 @@ class SensorModel:
         return replace(kept, u_v=record.u_v[:, : kept.samples], verified=True)
 
     def path(self, dynamics: Dynamics, sample_time_s: float) -> LinearBlock:
-        """Discrete path from the static block to the reading of a prompt record."""
+        """Discrete path from the static block to the reading of a prompt record, which is linear."""
+        return discretise(self._late(dynamics, sample_time_s), sample_time_s, self.bandwidth_hz)
+
+    def block(self, dynamics: Dynamics, sample_time_s: float) -> LinearBlock | FeedbackBlock:
+        """Return the same path, or one with hysteresis in its loop."""
+        return on_grid(self._late(dynamics, sample_time_s), sample_time_s, self.bandwidth_hz)
+
+    def _late(self, dynamics: Dynamics, sample_time_s: float) -> Dynamics:
         late = {"input_delay_s": dynamics.input_delay_s + self.part_s(sample_time_s)}
-        return discretise(dynamics.model_copy(update=late), sample_time_s, self.bandwidth_hz)
+        return dynamics.model_copy(update=late)
 
     def paths(self, dynamics: Dynamics, records: Sequence[Record]) -> list[LinearBlock]:
         """Path of each record; none at all where nothing stands between static block and reading."""

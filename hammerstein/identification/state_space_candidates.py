@@ -83,7 +83,7 @@ def _of_order(task: Task, order: int) -> StateSpaceTrial:
     block, gain = fit_linear(task.records, order, task.progress)
     task.progress("fitting the static block in front of them")
     blocks, best = _hammerstein(task, block)
-    alone = task.candidate(_gain_model(gain), _state_space(block))
+    alone = task.candidate(gain_model(gain), state_space(block))
     return StateSpaceTrial(order, alone, blocks, best, _error(task, best))
 
 
@@ -111,7 +111,7 @@ def _error(task: Task, candidate: Candidate) -> float:
 def _hammerstein(task: Task, block: LinearBlock) -> tuple[WeightFits, Candidate]:
     """Static block in front of a linear one."""
     blocks = _coupled(task, block)
-    return blocks, task.candidate(blocks.chosen.hysteresis, _state_space(block))
+    return blocks, task.candidate(blocks.chosen.hysteresis, state_space(block))
 
 
 def _coupled(task: Task, block: LinearBlock) -> WeightFits:
@@ -123,10 +123,12 @@ def _coupled(task: Task, block: LinearBlock) -> WeightFits:
     return WeightFits(found, found, None)
 
 
-def _gain_model(gain: Array) -> PrandtlIshlinskii:
+def gain_model(gain: Array) -> PrandtlIshlinskii:
+    """Static block of gains (output, input) [um/V] without hysteresis."""
     return PrandtlIshlinskii.from_arrays(np.zeros(1), gain[:, :, None])
 
 
-def _state_space(block: LinearBlock) -> StateSpaceDynamics:
+def state_space(block: LinearBlock) -> StateSpaceDynamics:
+    """Dynamics of a linear block."""
     rows = {name: tuple(map(tuple, getattr(block, name).tolist())) for name in "ABCD"}
     return StateSpaceDynamics(**rows, sample_time_s=block.sample_time_s)

@@ -92,6 +92,8 @@ the model: it lowers the error from 7.4 to 0.8 %.
     if {"linear_dynamics", "hammerstein"} <= errors.keys():
         sentences.append(_improves("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
         sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
+    elif "in_loop" in errors:
+        sentences.append(_improves("Hysteresis in the loop", errors["linear_dynamics"], errors["in_loop"]))
     elif {"classical", "hammerstein"} <= errors.keys():
         sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["classical"]))
     else:
@@ -110,7 +112,7 @@ the model: it lowers the error from 7.4 to 0.8 %.
         )
     sentences[:0] = residual
     if flags:
-        model = "model" if "classical" in errors else "classical model"
+        model = "model" if {"classical", "in_loop"} & errors.keys() else "classical model"
         sentences.append(f"The {model} cannot represent these records: " + "; ".join(flags) + ".")
     return " ".join(sentences)
 

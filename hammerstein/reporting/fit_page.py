@@ -18,7 +18,6 @@ from hammerstein.experiment.selection import percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
-from hammerstein.identification.score import Score
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.runtime.storage.manifest import Owner
@@ -145,7 +144,7 @@ def write_fit(
 
 def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> list[Markdown]:
     """Whether the model is usable and for what, three numbers, and the next command."""
-    numbers = [error_of(fit.outputs, fit.judged[fit.kind], bool(fit.validation))]
+    numbers = [_error(fit)]
     if "linear" in fit.judged and fit.kind != "linear":
         linear = max(fit.judged["linear"].nrmse_percent)
         numbers.append(f"Error of a linear gain: {percent(linear / 100.0)}.")
@@ -162,10 +161,7 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
 def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> list[str]:
     """At most three lines for a terminal: use of the model and its error, first limits, next command."""
     remarks = [*fit.flags, *fit.not_identifiable, *fit.notes]
-    said = [
-        f"{''.join(_usable(fit)).replace(' (see below)', '')} "
-        f"{error_of(fit.outputs, fit.judged[fit.kind], bool(fit.validation))}"
-    ]
+    said = [f"{''.join(_usable(fit)).replace(' (see below)', '')} {_error(fit)}"]
     if remarks:
         more = len(remarks) - MOST_REMARKS
         after = f"; {more} more in the report" if more > 0 else ""
@@ -174,11 +170,12 @@ def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> lis
     return [*said, " ".join((files, *next_step(model, fit, asked))).strip()]
 
 
-def error_of(outputs: Sequence[str], score: Score, validated: bool) -> str:
-    """Rms error of each output, and the largest as a share of the range, in words."""
-    each = ", ".join(f"{um:.3g} um on {name}" for name, um in zip(outputs, score.rms_um, strict=True))
+def _error(fit: Fit) -> str:
+    """Rms error of each output, and the largest as a share of the range."""
+    score = fit.judged[fit.kind]
+    each = ", ".join(f"{um:.3g} um on {name}" for name, um in zip(fit.outputs, score.rms_um, strict=True))
     worst = percent(max(score.nrmse_percent) / 100.0)
-    records = "validation records" if validated else "fitted records"
+    records = "validation records" if fit.validation else "fitted records"
     return f"Rms error: {each}; at most {worst} of the range ({records})."
 
 
@@ -196,15 +193,12 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
     """What to do next in words, and the whole command that does it, where one does."""
     if not fit.invertible:
         return f"Next: {fit.invertibility}", ""
-    kept = isinstance(model.hysteresis, BoucWen)
-    law = "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
-    return step_after(model.name, law, bool(fit.validation), asked)
-
-
-def step_after(name: str, law: str, validated: bool, asked: Asked | None = None) -> tuple[str, str]:
-    """Compensate with a validated model; validate another one first."""
-    if validated:
-        file = str(asked.model_file) if asked else f"{name}.json"
+    if fit.validation:
+        kept = isinstance(model.hysteresis, BoucWen)
+        law = (
+            "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
+        )
+        file = str(asked.model_file) if asked else f"{model.name}.json"
         return "Next:", _command("compensate", file, "path.csv", "--law", law, "--out", "drive.csv")
     if asked is None:
         return "Next: identify again, with a validation record.", ""
@@ -223,6 +217,7 @@ def _body(model: HammersteinModel, fit: Fit) -> Markdown:
         "fit_body.md.jinja",
         fit=fit,
         kinds=KIND_NAMES,
+        dynamics=model.dynamics.describe(),
         close=CLOSE,
         infinity=math.inf,
         rates_hz=dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records),
@@ -257,7 +252,9 @@ class _Pair(NamedTuple):
 
 
 def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[_Pair]:
-    """Every pair that has operators."""
+    """Every pair that has operators; none in front of a loop, whose plays are of its own signals."""
+    if fit.kind == "in_loop":
+        return
     hysteresis, gains = model.hysteresis, model.gain(model.amplitude_v)
     alone, joint = hysteresis.weight_errors, model.covariance
     given = alone if alone is None or joint is None else joint.weight_errors(alone)

@@ -142,7 +142,8 @@ def tried(seed):
             row["moves_percent"] = round(100 * float(np.abs(at_1 / true - 1.0).max()), 3)
         else:
             row[f"{name}_percent"] = round(100 * float(np.abs(told / true - 1.0).max()), 4)
-    row["linear_um"], row["held_um"] = f"{fit.linear_um:.4g}", f"{fit.held_um:.4g}"
+    held = next(trial.percent for trial in fit.trials if trial.kept)
+    row["linear_percent"], row["held_percent"] = f"{fit.trials[0].percent:.4g}", f"{held:.4g}"
     ratios = followed(stacks, model, near.min(), band, seed)
     row["followed_in_noise"], row["in_noise_of_records"] = (round(ratio, 2) for ratio in ratios)
     return row | {"minutes": round((time.monotonic() - begun) / 60.0, 1)}

@@ -45,4 +45,4 @@ def test_three_axes_sampled_twice_as_fast_are_identified():
     stacks, _ = at_random(3, 2.0 * PER_RESONANCE)
     band = 0.8 / PER_RESONANCE / stacks.time_s
     _, fit = identify_in_loop(records(stacks, band, 3), LoopSettings(minutes=3.0))
-    assert fit.held_um < 0.15 * fit.linear_um
+    assert fit.fit["in_loop"].rms_um[0] < 0.15 * fit.fit["linear_dynamics"].rms_um[0]

@@ -10,17 +10,18 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.instruments import Instruments
-from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
+from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.in_loop.parameters import LoopParameters
+from hammerstein.identification.in_loop.periods import from_one_point, settled_periods
+from hammerstein.identification.in_loop.result import Found, result_of
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
 from hammerstein.identification.in_loop.start import (
     linear_start,
@@ -30,7 +31,7 @@ from hammerstein.identification.in_loop.start import (
 )
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
-from hammerstein.identification.score import Score, score_of
+from hammerstein.identification.model_selection import Trial
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.resources import one_blas_thread
@@ -46,10 +47,6 @@ PATIENCE = 4
 """Steps in a row after which a search ends that lowers the error of what is held back no more."""
 GAINED = 0.99
 """Part of the error held back that must be left, or more paths are not worth their numbers."""
-SETTLED = 1e-3
-"""Part of an output by which two periods may differ that count as settled: a fifth of a noise of 0.5 %."""
-MOST_BEFORE = 8
-"""Periods that a simulation runs through at most before the one that counts."""
 
 
 @dataclass(frozen=True)
@@ -64,47 +61,6 @@ class LoopSettings:
     minutes: float = 60.0
 
 
-Respond = Callable[[Array], tuple[Array, Any]]
-"""Outputs (p, sample) from rest to inputs (m, sample), and the state after."""
-NOT_JUDGED = Score((), (), ())
-
-
-@dataclass(frozen=True, eq=False)
-class LoopFit:
-    """Result: parameters, steps of the last search, and its errors.
-
-    held_um, linear_um : rms error on the selection experiments of the structure before all experiments were
-        fitted, and of linear dynamics [um]
-    judged : errors of the final model on the validation records, or on the fitted ones if there are none
-    validated : whether they are from validation records
-    """
-
-    found: LoopParameters
-    held_um: float
-    linear_um: float
-    steps: int
-    judged: Score = NOT_JUDGED
-    validated: bool = False
-
-    def statement(self) -> str:
-        """Say how large the model is, and how good against linear dynamics."""
-        h, plays = self.found.r.shape
-        return (
-            f"order {len(self.found.B)}, {h} paths of {plays} plays, {self.found.K.shape[1]} "
-            f"products: {self.held_um:.4g} um rms on the selection experiments; linear dynamics "
-            f"{self.linear_um:.4g} um"
-        )
-
-    def verdict(self) -> Verdict:
-        """Verdict for the model file: its error, and by how much the loop improves it."""
-        return Verdict(
-            flagged=False,
-            held_out=self.validated,
-            sentence=f"Hysteresis in the loop: {self.statement()}.",
-            nrmse_percent=self.judged.nrmse_percent,
-        )
-
-
 @one_blas_thread()
 def identify_in_loop(
     records: Sequence[Record],
@@ -114,7 +70,7 @@ def identify_in_loop(
     name: str = "identified",
     kept: Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
-) -> tuple[HammersteinModel, LoopFit]:
+) -> tuple[HammersteinModel, Fit]:
     """Identify a model with plays and products inside its loop from the simulated output.
 
     The search begins with linear dynamics. Plays, then more paths for the lower and the upper modes, then
@@ -124,138 +80,109 @@ def identify_in_loop(
     Parameters
     ----------
     records : experiments at several amplitudes, on one sample time
-    validation : records for the final error; they affect nothing else
+    validation : validation records: reported, never used to choose
     kept : file of the parameters found so far, written after every step; a search continues from it
 
     Raises
     ------
-    IdentificationError : too few experiments, or linear dynamics are as good on the validation experiments
+    IdentificationError : too few experiments, or linear dynamics are as good on the selection experiments
     InputError : records of several sample times, or a file of other records
     """
-    asked, ready = settings or LoopSettings(), from_last_rest(records)
-    held = from_last_rest(validation) if validation else ()
+    ready, held = from_one_point(from_last_rest(records), from_last_rest(validation) if validation else ())
     _refuse(ready, held)
-    work = _Work(asked, time.monotonic() + 60.0 * asked.minutes, kept, _digest(ready), progress)
+    work = _Work(settings or LoopSettings(), kept, _digest(ready), progress)
     with ThreadPoolExecutor(2) as pool:
-        fit = work.resumed(ready, pool) if kept is not None and kept.is_file() else work.chosen(ready, pool)
-        fit = _judged(fit, held or ready, _working_point(ready), pool)
-    fit = replace(fit, validated=bool(held))
-    if not fit.held_um < fit.linear_um:
+        found = work.resumed(ready, pool) if kept is not None and kept.is_file() else work.chosen(ready, pool)
+    if not found.chosen.percent < found.linear.percent:
         raise IdentificationError(
-            f"hysteresis in the loop has an error of {fit.held_um:.4g} um on the selection "
-            f"experiments, linear dynamics alone {fit.linear_um:.4g} um: it does not improve the "
-            "model. Identify without --hysteresis-in-loop"
+            f"hysteresis in the loop has an error of {found.chosen.percent:.3g} % of the range on the "
+            f"selection experiments, linear dynamics alone {found.linear.percent:.3g} %: it does not improve "
+            "the model. Identify without --hysteresis-in-loop"
         )
-    return _model(fit, records, ready, name), fit
+    return result_of(found, ready, held, name)
 
 
-def _model(fit: LoopFit, records: Sequence[Record], ready: Sequence[Record], name: str) -> HammersteinModel:
-    """Model of the parameters, with the voltages and the sample time of its records, and its errors."""
-    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in ready])
-    one = ready[0]
-    return replace(
-        fit.found.model(name, one.sample_time_s, float(np.abs(sent).max()), one.inputs, one.outputs),
-        voltages=Voltages.of(_working_point(ready), sent.min(axis=1), sent.max(axis=1)),
-        instruments=Instruments.ideal(one.sample_time_s),
-        provenance={"records": [Path(record.source).name for record in records]},
-        verdict=fit.verdict(),
-    )
+@dataclass(frozen=True, eq=False)
+class _Selection:
+    """Experiments that are fitted while the structure is chosen, and those held back that choose it."""
+
+    seen: Sequence[SettledPeriod]
+    held: Sequence[SettledPeriod]
+    pool: Executor
+
+    @classmethod
+    def of(cls, periods: Sequence[SettledPeriod], pool: Executor) -> _Selection:
+        """Hold back one of ``HELD`` in the order of their amplitudes.
+
+        Without the largest amplitudes, the others do not determine what the hysteresis does there.
+        """
+        order = np.argsort([period.u.std() for period in periods], kind="stable").tolist()
+        back = sorted(order[HELD // 2 :: HELD])
+        seen = [period for i, period in enumerate(periods) if i not in back]
+        return cls(seen, [periods[i] for i in back], pool)
+
+    def of_linear(self, block: LinearBlock) -> Trial:
+        """Linear dynamics on what is held back."""
+        errors = [p.left(block.respond(p.sent)[0][:, p.warm :]) for p in self.held]
+        n, (p, m) = len(block.A), block.D.shape
+        return Trial(f"linear dynamics, order {n}", 2 * n + n * m + p * n + p * m, self._squares(errors))
+
+    def of_loop(self, found: LoopParameters) -> Trial:
+        """Parameters on what is held back."""
+        errors = self.pool.map(lambda p: p.left(found.simulate(p.u, p.warm)), self.held)
+        return Trial(found.describe(), len(found.vector()), self._squares(list(errors)))
+
+    def _squares(self, errors: Sequence[Array]) -> Array:
+        """Mean squared errors (experiment,) in parts of the ranges of the outputs."""
+        ranges = np.max([np.ptp(period.y, axis=1) for period in self.held], axis=0)
+        with np.errstate(all="ignore"):  # of a simulation that diverged
+            return np.array([np.mean((error / ranges[:, None]) ** 2) for error in errors])
 
 
-@dataclass(frozen=True)
+class _Best(NamedTuple):
+    """The best structure so far, and the steps in which it was found."""
+
+    found: LoopParameters
+    trial: Trial
+    steps: int
+
+
 class _Work:
-    settings: LoopSettings
-    end_s: float
-    kept: Path | None
-    digest: str
-    tell: Callable[[str], None]
+    """One search: what was asked, when it ends, and what was tried."""
 
-    def chosen(self, records: Sequence[Record], pool: Executor) -> LoopFit:
+    def __init__(
+        self, settings: LoopSettings, kept: Path | None, digest: str, tell: Callable[[str], None]
+    ) -> None:
+        self.settings, self.kept, self.digest, self.tell = settings, kept, digest, tell
+        self.begun_s = time.monotonic()
+        self.trials: list[Trial] = []
+
+    def chosen(self, records: Sequence[Record], pool: Executor) -> Found:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
         self.tell("fitting linear dynamics")
         blocks = _linear(records, self.settings.order)
-        periods = _periods(records, blocks[0].respond, _working_point(records))
-        back = _held_back(periods)
-        seen = [p for p, is_back in zip(periods, back, strict=True) if not is_back]
-        held = [p for p, is_back in zip(periods, back, strict=True) if is_back]
-        linear = min(_linear_rms(block, held) for block in blocks)
-        best = LoopFit(linear_start(blocks[0], seen), np.inf, linear, 0)
-        for block in blocks:
-            best = self._better(linear_start(block, seen), best, seen, held, pool)
-        poles = np.linalg.eigvals(best.found.full())
-        middle = float(np.median(np.abs(np.angle(poles))))
-        grown: tuple[Callable[[LoopParameters], LoopParameters | None], ...] = (
-            partial(with_band, low=middle, high=np.pi, periods=seen),
-            partial(with_band, low=0.0, high=middle, periods=seen),
+        periods = settled_periods(records, blocks[0].respond)
+        parts = _Selection.of(periods, pool)
+        linear, block = min(((parts.of_linear(one), one) for one in blocks), key=lambda pair: pair[0].percent)
+        self.trials = [linear]
+        best = None
+        for one in blocks:
+            best = self._better(linear_start(one, parts.seen), best, parts)
+        assert best is not None
+        middle = float(np.median(np.abs(np.angle(np.linalg.eigvals(best.found.full())))))
+        growing: tuple[Callable[[LoopParameters], LoopParameters | None], ...] = (
+            partial(with_band, low=middle, high=np.pi, periods=parts.seen),
+            partial(with_band, low=0.0, high=middle, periods=parts.seen),
             with_products,
-            partial(with_plays, periods=seen),
+            partial(with_plays, periods=parts.seen),
         )
-        for grow in grown:
-            begun = grow(best.found)
-            if begun is not None:
-                best = self._better(begun, best, seen, held, pool)
-        return self._all(best, periods, pool)
+        for grow in growing:
+            larger = grow(best.found)
+            if larger is not None:
+                best = self._better(larger, best, parts)
+        return Found(self._all(best, periods, pool), block, self._marked(best))
 
-    def _better(
-        self,
-        begun: LoopParameters,
-        best: LoopFit,
-        seen: Sequence[SettledPeriod],
-        held: Sequence[SettledPeriod],
-        pool: Executor,
-    ) -> LoopFit:
-        """Search from other parameters if there is time; return the better fit."""
-        if np.isfinite(best.held_um) and time.monotonic() > self.end_s - 30.0 * self.settings.minutes:
-            return best
-        trial = self._tried(begun, best, seen, held, pool)
-        return trial if trial.held_um < GAINED * best.held_um else best
-
-    def _tried(
-        self,
-        begun: LoopParameters,
-        best: LoopFit,
-        seen: Sequence[SettledPeriod],
-        held: Sequence[SettledPeriod],
-        pool: Executor,
-    ) -> LoopFit:
-        """Search until the error held back falls no more."""
-        trial = replace(best, found=begun, held_um=np.inf)
-
-        def tell(progress: Progress) -> None:
-            nonlocal trial
-            now = _rms(progress.found, held, pool)
-            self.tell(
-                f"{len(begun.r)} paths, step {progress.step}: {now:.4g} um on the selection experiments"
-            )
-            if now < trial.held_um:
-                trial = LoopFit(progress.found, now, best.linear_um, progress.step + 1)
-                if now < GAINED * best.held_um:
-                    self._keep(trial)
-            late = time.monotonic() > self.end_s - 30.0 * self.settings.minutes
-            if late or progress.step + 1 - trial.steps >= PATIENCE:
-                raise StopIteration
-
-        self._run(begun, seen, pool, tell, Search())
-        return trial
-
-    def _all(self, best: LoopFit, periods: Sequence[SettledPeriod], pool: Executor) -> LoopFit:
-        """Fit all experiments with the structure chosen, by as many steps."""
-        found = best.found
-
-        def tell(progress: Progress) -> None:
-            nonlocal found
-            found = progress.found
-            self._keep(replace(best, found=found, steps=best.steps - progress.step - 1))
-            left = float(np.sqrt(np.mean(progress.rms**2)))
-            self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
-            if time.monotonic() > self.end_s:
-                raise StopIteration
-
-        self._keep(best)
-        self._run(found, periods, pool, tell, Search(steps=best.steps))
-        return replace(best, found=found)
-
-    def resumed(self, records: Sequence[Record], pool: Executor) -> LoopFit:
+    def resumed(self, records: Sequence[Record], pool: Executor) -> Found:
         """Go on with the file of an interrupted search."""
         assert self.kept is not None
         found = LoopParameters.load(self.kept)
@@ -263,27 +190,81 @@ class _Work:
         if more.get("of") != self.digest:
             raise InputError(str(self.kept), "belongs to a search on other records; remove it to start again")
         self.tell("continuing the interrupted search")
+        self.trials = [Trial(name, count, np.array(squares)) for name, count, squares in more["trials"]]
         block = _linear(records, len(found.B))[0]
-        periods = _periods(records, block.respond, _working_point(records))
-        return self._all(LoopFit(found, more["held_um"], more["linear_um"], more["steps"]), periods, pool)
+        best = _Best(found, self.trials[-1], more["steps"])
+        periods = settled_periods(records, block.respond)
+        return Found(self._all(best, periods, pool), block, self._marked(best))
 
-    def _keep(self, fit: LoopFit) -> None:
+    def _better(self, begun: LoopParameters, best: _Best | None, parts: _Selection) -> _Best:
+        """Search from other parameters if there is time; return the better structure."""
+        if best is not None and self._is_late(0.5):
+            return best
+        tried = self._tried(begun, best, parts)
+        self.trials.append(tried.trial)
+        return tried if best is None or tried.trial.percent < GAINED * best.trial.percent else best
+
+    def _tried(self, begun: LoopParameters, best: _Best | None, parts: _Selection) -> _Best:
+        """Search until the error held back falls no more."""
+        least = np.inf if best is None else GAINED * best.trial.percent
+        tried = _Best(begun, replace(parts.of_loop(begun), squares=np.array([np.inf])), 0)
+
+        def tell(progress: Progress) -> None:
+            nonlocal tried
+            now = parts.of_loop(progress.found)
+            self.tell(f"{now.name}, step {progress.step}: {now.percent:.3g} % on the selection experiments")
+            if now.percent < tried.trial.percent:
+                tried = _Best(progress.found, now, progress.step + 1)
+                if now.percent < least:
+                    self._keep(tried)
+            if self._is_late(0.5) or progress.step + 1 - tried.steps >= PATIENCE:
+                raise StopIteration
+
+        _run(begun, parts.seen, parts.pool, tell, Search())
+        return tried
+
+    def _all(self, best: _Best, periods: Sequence[SettledPeriod], pool: Executor) -> LoopParameters:
+        """Fit all experiments with the structure chosen, by as many steps."""
+        found = best.found
+
+        def tell(progress: Progress) -> None:
+            nonlocal found
+            found = progress.found
+            self._keep(best._replace(found=found, steps=best.steps - progress.step - 1))
+            left = float(np.sqrt(np.mean(progress.rms**2)))
+            self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
+            if self._is_late():
+                raise StopIteration
+
+        self._keep(best)
+        _run(found, periods, pool, tell, Search(steps=best.steps))
+        return found
+
+    def _is_late(self, part: float = 1.0) -> bool:
+        return time.monotonic() > self.begun_s + part * 60.0 * self.settings.minutes
+
+    def _marked(self, best: _Best) -> tuple[Trial, ...]:
+        return tuple(replace(trial, kept=trial is best.trial) for trial in self.trials)
+
+    def _keep(self, best: _Best) -> None:
+        """Write what an interrupted search goes on from: the best structure is the last trial."""
         if self.kept is not None:
-            more = {"of": self.digest, "held_um": fit.held_um, "linear_um": fit.linear_um, "steps": fit.steps}
-            fit.found.save(self.kept, more)
+            trials = [*(trial for trial in self.trials if trial is not best.trial), best.trial]
+            plain = [[trial.name, trial.parameters, trial.squares.tolist()] for trial in trials]
+            best.found.save(self.kept, {"of": self.digest, "steps": best.steps, "trials": plain})
 
-    @staticmethod
-    def _run(
-        begun: LoopParameters,
-        periods: Sequence[SettledPeriod],
-        pool: Executor,
-        tell: Callable[[Progress], None],
-        search: Search,
-    ) -> None:
-        try:
-            search.run(begun, periods, pool, tell)
-        except StopIteration:
-            return
+
+def _run(
+    begun: LoopParameters,
+    periods: Sequence[SettledPeriod],
+    pool: Executor,
+    tell: Callable[[Progress], None],
+    search: Search,
+) -> None:
+    try:
+        search.run(begun, periods, pool, tell)
+    except StopIteration:
+        return
 
 
 def _refuse(records: Sequence[Record], held: Sequence[Record]) -> None:
@@ -302,79 +283,6 @@ def _linear(records: Sequence[Record], order: int | None) -> list[LinearBlock]:
     orders = [order + order % 2] if order else [states * len(records[0].y_um) for states in STATES]
     response = measured_response(records)
     return [fit_state_space(response, one) for one in orders]
-
-
-def _held_back(periods: Sequence[SettledPeriod]) -> list[bool]:
-    """Which experiments select the structure: one of ``HELD`` in the order of their amplitudes.
-
-    Without the largest amplitudes, the other experiments do not determine what the hysteresis does there.
-    """
-    places = np.argsort(np.argsort([p.u.std() for p in periods], kind="stable"))
-    return [bool(place % HELD == HELD // 2) for place in places]
-
-
-def _period(record: Record) -> int:
-    """Samples of its settled period; 0 for a record from rest."""
-    n = record.period_samples or 0
-    return n if record.samples >= n else 0
-
-
-def _working_point(records: Sequence[Record]) -> Array:
-    """Voltages [V] from which the loop counts: where a record began at rest; 0 V if all are periods.
-
-    A settled period began anywhere.
-    """
-    begun = [record.rest_v for record in records if not _period(record)]
-    return begun[0] if begun else np.zeros(len(records[0].u_v))
-
-
-def _judged(fit: LoopFit, records: Sequence[Record], working_point_v: Array, pool: Executor) -> LoopFit:
-    """Add the errors of the final model on records."""
-    block = fit.found.dynamics(records[0].sample_time_s).block()
-    periods = _periods(records, block.respond, working_point_v)
-    errors = list(pool.map(lambda p: p.left(fit.found.simulate(p.u, p.warm)), periods))
-    return replace(fit, judged=score_of(errors, [p.y for p in periods]))
-
-
-def _periods(records: Sequence[Record], respond: Respond, working_point_v: Array) -> list[SettledPeriod]:
-    """Settled periods, counted from a working point, or whole records, counted from where they began.
-
-    respond : of a model that settles as the actuator does
-    """
-    found = []
-    for record in records:
-        n = _period(record)
-        one = SettledPeriod(record.u_v, record.y_um, 1.0, 0)
-        if n:
-            count = record.samples // n
-            first = record.samples - max(count - 1, 1) * n
-            y = record.y_um[:, first:].reshape(len(record.y_um), -1, n).mean(axis=1)
-            one = SettledPeriod(record.u_v[:, -n:] + (record.rest_v - working_point_v)[:, None], y, 1.0, 0)
-            one = one._replace(warm=n * _periods_before(respond, one))
-        found.append(one)
-    return found
-
-
-def _periods_before(respond: Respond, period: SettledPeriod) -> int:
-    """Whole periods after which a block repeats itself: plays remember the largest turns of one."""
-    n = period.u.shape[1]
-    y = respond(np.tile(period.u, MOST_BEFORE + 1))[0].reshape(len(period.y), -1, n)
-    moved = np.abs(y[:, 1:] - y[:, :-1]).max(axis=2) / np.abs(y[:, -1]).max(axis=1, keepdims=True)
-    settled = np.flatnonzero((moved < SETTLED).all(axis=0))
-    return int(settled[0]) + 1 if len(settled) else MOST_BEFORE
-
-
-def _linear_rms(block: LinearBlock, held: Sequence[SettledPeriod]) -> float:
-    return _of([p.left(block.respond(p.sent)[0][:, p.warm :]) for p in held])
-
-
-def _rms(found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor) -> float:
-    return _of(list(pool.map(lambda p: p.left(found.simulate(p.u, p.warm)), periods)))
-
-
-def _of(errors: Sequence[Array]) -> float:
-    with np.errstate(all="ignore"):  # of one that diverged
-        return float(np.sqrt(np.mean([np.mean(e * e) for e in errors])))
 
 
 def _digest(records: Sequence[Record]) -> str:

@@ -17,6 +17,7 @@ from hammerstein.errors import InputError
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.kernels import follow
+from hammerstein.identification.state_space_candidates import gain_model
 from hammerstein.model import HammersteinModel
 
 FORMAT = "hammerstein-feedback-search/1"
@@ -181,12 +182,14 @@ class LoopParameters:
             raise InputError(
                 "records", f"have {m} inputs and {p} outputs; hysteresis in the loop needs equal numbers"
             )
-        zero, one = (Pair(np.zeros(1), np.array([w])) for w in (0.0, 1.0))
-        pairs = tuple(tuple(one if i == k else zero for k in range(m)) for i in range(p))
-        dynamics = self.dynamics(sample_time_s)
-        return HammersteinModel(
-            name, PrandtlIshlinskii(pairs), dynamics, amplitude_v, tuple(inputs), tuple(outputs)
-        )
+        straight, dynamics = gain_model(np.eye(m)), self.dynamics(sample_time_s)
+        return HammersteinModel(name, straight, dynamics, amplitude_v, tuple(inputs), tuple(outputs))
+
+    def describe(self) -> str:
+        """Say in few words how large it is."""
+        h, plays = self.r.shape
+        products = f", {self.K.shape[1]} products" if self.K.size else ""
+        return f"order {len(self.B)}, {h} path{'s' * (h != 1)} of {plays} plays in the loop{products}"
 
     def _pair(self, i: int) -> Pair:
         """Plays of z_i, the straight part at threshold 0; plays that came to one threshold are one."""

@@ -1,0 +1,107 @@
+"""Model and fit report of a search for hysteresis in a loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hammerstein.blocks.voltages import Voltages
+from hammerstein.dynamics import LinearBlock
+from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.fit_report import left_out, model_of, offsets
+from hammerstein.identification.in_loop.parameters import LoopParameters
+from hammerstein.identification.in_loop.periods import start_of
+from hammerstein.identification.model_selection import Trial
+from hammerstein.identification.score import Candidate, Score, score
+from hammerstein.identification.state_space_candidates import gain_model, state_space
+from hammerstein.identification.static.static_block import half_swing
+from hammerstein.identification.verdict import record_flags, verdict
+from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
+
+INVERSE = "compensate finds the voltages of a path in passes, and says whether they converge"
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Result of a search: the loop, the linear dynamics beside it, and every structure that was tried."""
+
+    loop: LoopParameters
+    block: LinearBlock
+    trials: tuple[Trial, ...]
+
+    @property
+    def linear(self) -> Trial:
+        """Linear dynamics on the selection experiments."""
+        return self.trials[0]
+
+    @property
+    def chosen(self) -> Trial:
+        """The chosen structure on the selection experiments, before all experiments were fitted."""
+        return next(trial for trial in self.trials if trial.kept)
+
+
+def result_of(
+    found: Found, records: tuple[Record, ...], held: tuple[Record, ...], name: str
+) -> tuple[HammersteinModel, Fit]:
+    """Model and fit report.
+
+    records, held : fitted and validation records, settled periods counted from one voltage
+    """
+    one, straight = records[0], gain_model(np.eye(len(records[0].u_v)))
+    candidates: dict[Kind, Candidate] = {
+        "linear_dynamics": Candidate(straight, state_space(found.block)),
+        "in_loop": Candidate(straight, found.loop.dynamics(one.sample_time_s)),
+    }
+    best, starts, held_starts = candidates["in_loop"], *(tuple(map(start_of, own)) for own in (records, held))
+    fitted = _scores(candidates, records)
+    judged = _scores(candidates, held) if held else {}
+    flags = tuple(record_flags(best, [*records, *held], [*starts, *held_starts]))
+    swing = half_swing(records)
+    fit = Fit(
+        inputs=one.inputs,
+        outputs=one.outputs,
+        kind="in_loop",
+        fit=fitted,
+        validation=judged,
+        solver="simulated_output",
+        operators=straight.operators,
+        amplitude_v=float(swing.max()),
+        amplitudes_v=tuple(swing.tolist()),
+        voltages=_voltages(records),
+        delay_samples=0.0,
+        sample_time_s=one.sample_time_s,
+        sensor_bandwidth_hz=None,
+        sensor_delay_s=0.0,
+        offsets_um=offsets(best, records, starts),
+        starts=starts,
+        held_starts=held_starts,
+        axes=(),
+        trials=found.trials,
+        order=len(found.loop.B),
+        error_curve=(),
+        not_identifiable=(),
+        flags=flags,
+        notes=tuple(left_out([*records, *held])),
+        invertible=True,
+        invertibility=INVERSE,
+        verdict=verdict(judged or fitted, bool(judged), flags, kept="in_loop"),
+        candidates=candidates,
+        covariance=None,
+        records=records,
+        held=held,
+    )
+    return model_of(fit, best, name, None), fit
+
+
+def _scores(candidates: Mapping[Kind, Candidate], records: Sequence[Record]) -> dict[Kind, Score]:
+    starts = [start_of(record) for record in records]
+    return {kind: score(candidate, records, starts) for kind, candidate in candidates.items()}
+
+
+def _voltages(records: Sequence[Record]) -> Voltages:
+    """Range of the records, and the voltage from which their settled periods count."""
+    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in records])
+    return Voltages.of(records[0].rest_v, sent.min(axis=1), sent.max(axis=1))
