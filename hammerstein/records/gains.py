@@ -197,21 +197,17 @@ def doubtful_gains(gains: Sequence[Gain]) -> list[str]:
     >>> print(doubtful_gains([Gain("u", "x", 100.0, 4e5, 4e3)])[0])
     x moves by 4e+03 um/V (over 4e+05 um for 100 V of u), outside 0.001 to 1000 um/V
     """
-    strongest: dict[str, Gain] = {}
-    for gain in gains:
-        if abs(gain.um_per_v) >= abs(strongest.get(gain.input, gain).um_per_v):
-            strongest[gain.input] = gain
     low, high = USUAL_GAIN
     return [
         f"{gain.output} moves by {gain.um_per_v:.3g} um/V (over {gain.span_um:.3g} um for "
         f"{gain.span_v:.3g} V of {gain.input}), outside {low:g} to {high:g} um/V"
-        for gain in strongest.values()
+        for gain in _strongest(gains)
         if not low <= abs(gain.um_per_v) <= high
     ]
 
 
 def doubtful_units(gains: Sequence[Gain]) -> list[str]:
-    """Sentences about outputs whose numbers, taken as um, are larger than those of most piezo actuators.
+    """Sentences about outputs whose numbers, taken as um, are no travel of a piezo actuator.
 
     Examples
     --------
@@ -219,10 +215,26 @@ def doubtful_units(gains: Sequence[Gain]) -> list[str]:
     []
     >>> print(doubtful_units([Gain("u", "x", 100.0, 88000.0, 813.0)])[0])
     x has no unit; in um it would travel 88 mm, 813 um for each V of u
+    >>> print(doubtful_units([Gain("u", "x", 100.0, 0.09, 0.0009)])[0])
+    x has no unit; in um it would travel 0.09 um, 0.0009 um for each V of u
     """
+    large = [gain for gain in gains if abs(gain.um_per_v) > SURE_GAIN or gain.span_um > SURE_TRAVEL_UM]
+    small = [gain for gain in _strongest(gains) if abs(gain.um_per_v) < USUAL_GAIN[0]]
     return [
-        f"{gain.output} has no unit; in um it would travel {1e-3 * gain.span_um:.4g} mm, "
+        f"{gain.output} has no unit; in um it would travel {_travel(gain.span_um)}, "
         f"{abs(gain.um_per_v):.3g} um for each V of {gain.input}"
-        for gain in gains
-        if abs(gain.um_per_v) > SURE_GAIN or gain.span_um > SURE_TRAVEL_UM
+        for gain in (*large, *small)
     ]
+
+
+def _travel(um: float) -> str:
+    return f"{1e-3 * um:.4g} mm" if um > SURE_TRAVEL_UM else f"{um:.3g} um"
+
+
+def _strongest(gains: Sequence[Gain]) -> list[Gain]:
+    """Strongest effect of each input."""
+    found: dict[str, Gain] = {}
+    for gain in gains:
+        if abs(gain.um_per_v) >= abs(found.get(gain.input, gain).um_per_v):
+            found[gain.input] = gain
+    return list(found.values())

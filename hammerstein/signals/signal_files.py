@@ -58,7 +58,9 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     if len(bad):
         row, column = (int(i) for i in bad[0])
         place = where(names[column], rows, row, row)
-        raise InputError(str(path), [Mistake(place, "has no finite number within 1e9")])
+        value = float(values[column, row])
+        what = f"is {value:.3g}, beyond {POSITION_UM.high:.3g}" if np.isfinite(value) else "has no number"
+        raise InputError(str(path), [Mistake(place, f"{what}; correct it, or remove the row")])
     at = names.index(time)
     times, values = _factor(time) * values[at], np.delete(values, at, axis=0)
     if len(times) < 2:

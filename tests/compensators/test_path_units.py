@@ -96,3 +96,13 @@ def test_a_drive_names_the_model_and_the_records_it_came_from(tmp_path, capsys):
     words = "left stage, from left_stage_x.csv, left_stage_y.csv"
     assert words in capsys.readouterr().out
     assert words in out.read_text()
+
+
+@pytest.mark.parametrize(("cell", "what"), [("nan", "has no number"), ("2e12", "is 2e+12, beyond 1e+09")])
+def test_a_cell_without_a_position_is_named_with_its_remedy(tmp_path, capsys, cell, what):
+    path = _write(tmp_path / "path.csv", 1.0)
+    lines = path.read_text().splitlines()
+    lines[7] = f"{lines[7].split(',')[0]},{cell},0.0"
+    path.write_text("\n".join(lines))
+    assert _drive(path, tmp_path / "drive.csv") == 2
+    assert f"column x, row 8  {what}; correct it, or remove the row" in capsys.readouterr().err

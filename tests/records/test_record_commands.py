@@ -217,6 +217,20 @@ def test_displacements_in_nm_without_a_unit_are_asked_for_it(records, tmp_path, 
     assert "repeats --output-scale" in capsys.readouterr().err
 
 
+def test_displacements_in_mm_without_a_unit_are_asked_for_it(records, tmp_path, capsys):
+    """Less than 0.001 um/V is no actuator in um either; the smaller cross-couplings are not asked about."""
+    frame = pd.read_csv(records[0])
+    outputs = COLUMNS[COLUMNS.index("--outputs") + 1].split(",")
+    frame[outputs] *= 1e-3 * 5.0 / np.ptp(frame[outputs].to_numpy())
+    frame.to_csv(tmp_path / "mm.csv", index=False)
+    call = ("loops", tmp_path / "mm.csv", *COLUMNS, "--rate", 20000, "--no-figures")
+    assert _call(*call) == 2
+    error = capsys.readouterr().err
+    assert "in um it would travel 0.005 um" in error
+    assert "--units nm, um or mm" in error
+    assert _call(*call, "--units", "mm") == 0
+
+
 def test_a_gain_that_no_actuator_has_is_refused_until_it_is_accepted(records, tmp_path, capsys):
     call = ("loops", records[0], *COLUMNS, "--rate", 20000, "--no-figures", "--output-scale", 200)
     assert _call(*call) == 2
