@@ -16,7 +16,10 @@ from .dynamics import (
     AxesDynamics as AxesDynamics,
     Axis as Axis,
     CreepMode as CreepMode,
+    ElastoSlip as ElastoSlip,
+    ElectromechanicalDynamics as ElectromechanicalDynamics,
     LinearBlock as LinearBlock,
+    StackAxis as StackAxis,
     StateSpaceDynamics as StateSpaceDynamics,
     StaticDynamics as StaticDynamics,
     cantilever as cantilever,
@@ -51,6 +54,10 @@ from .hysteresis import (
 )
 from .identification.fit import Fit as Fit
 from .identification.identify import identify as identify
+from .identification.in_loop.identify import (
+    LoopSettings as LoopSettings,
+    identify_in_loop as identify_in_loop,
+)
 from .identification.linear.frequency_response import (
     FrequencyResponse as FrequencyResponse,
     frequency_response as frequency_response,

@@ -89,6 +89,20 @@ def test_the_model_stands_on_the_path():
     assert (after - wanted).std() < 1e-3 * wanted.std()
 
 
+def test_waves_beyond_the_resonances_are_followed_where_passes_alone_lead_away():
+    """Ten times the hysteresis, waves up to 700 Hz: a path known as a whole takes the steps it needs."""
+    t = np.arange(1200) * TIME_S
+    turns = 2 * np.pi * np.arange(20.0, 700.0, 20.0)[None, :, None] * t
+    phases = np.random.default_rng(3).uniform(0.0, 2 * np.pi, size=(2, turns.shape[1], 1))
+    waves = np.sin(np.pi * t / t[-1]) ** 2 * np.sin(turns + phases).sum(axis=1)
+    wanted = waves / waves.std(axis=1, keepdims=True)
+    model = stacks(soft=10.0)
+    law = hammerstein.HammersteinInverse().design(model, 300.0, TIME_S)
+    found = model.simulate(law.drive_for(wanted), TIME_S).position_um
+    assert (found - wanted).std() < 1e-3 * wanted.std()
+    assert not law.drive_for(np.zeros((2, 50))).any()
+
+
 @pytest.mark.full
 def test_the_printed_equations_stand_on_the_path():
     """Goldfarb and Celanovic's, marched finely: what is left is w held over a sample, less than a percent."""

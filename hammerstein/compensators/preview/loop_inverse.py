@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import NoConvergence, anderson
 
 from hammerstein.arrays import Array, times
-from hammerstein.blocks import Law, Memory
+from hammerstein.blocks import Law, Memory, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.compensators.preview.linear_inverse import LinearInverse, block_inverse
@@ -21,6 +24,10 @@ from hammerstein.model import HammersteinModel
 
 MOST_PASSES, PATIENCE = 24, 3
 """Passes that are tried, and how many in a row may leave more than the best before."""
+MOST_STEPS, REMEMBERED = 60, 3
+"""Accelerated steps of each gain on a path that is known as a whole, and how many are remembered. On waves up
+to twice the resonance of two made-up stacks, 40 steps left 0.0001 to 0.003 of the path with every gain but
+the smallest; where 12 or 25 were remembered, up to 0.8."""
 ENOUGH = 1e-4
 """Part of the path that may be left: identified models miss it by twenty times as much and more."""
 SHARES = (0.25, 0.5, 0.1, 1.0)
@@ -120,6 +127,35 @@ class LoopPass:
                     break
         return int(np.argmin(errors)), min(errors)
 
+    def solved(self, known: Array) -> tuple[float, Array]:
+        """Part of a path from rest that is left, and the inputs v (m, N) that leave it, by Anderson's steps.
+
+        They converge where passes alone lead away: d is sought at which a pass gives d again.
+
+        known : (p, N + reach_samples) path and what follows it
+
+        Source: D. G. Anderson, Journal of the ACM 12 (1965) 547-560.
+        """
+        reach = self.inverse.reach_samples
+        path, begun = known[:, :-reach], np.zeros((self.block.E.shape[1], known.shape[1]))
+        best, v_best = np.inf, np.zeros((self.block.n_inputs, path.shape[1]))
+
+        def missed(pushed: Array) -> Array:
+            nonlocal best, v_best
+            v, d, _ = self.run(known, pushed, self.rest())
+            error = path - self.block.respond(v[:, reach:])[0]
+            left = float(np.sqrt(np.sum(error**2) / np.sum(path**2)))
+            if left < best:
+                best, v_best = left, v[:, reach:]
+            if not ENOUGH < left < np.inf:
+                raise StopIteration
+            return np.hstack([d[:, reach:], np.repeat(d[:, -1:], reach, axis=1)]) - pushed
+
+        with np.errstate(all="ignore"), contextlib.suppress(StopIteration, NoConvergence):
+            search = cast(Any, anderson)  # its stubs take functions that give a number
+            search(missed, begun, alpha=1.0, M=REMEMBERED, maxiter=MOST_STEPS, line_search=None)
+        return best, v_best
+
 
 @dataclass(frozen=True, eq=False)
 class LoopPathState(Memory):
@@ -143,7 +179,9 @@ class LoopInverseLaw(Law[LoopPathState]):
     and U = Gamma_0^-1 v: every pass inverts a linear block exactly on the sample grid (``LoopPass``,
     ``linear_inverse``). K are the gains of slow loops over a part of the range (``FeedbackBlock.slow_gain``)
     or of the largest amplitudes, whichever leaves least of a trial path. Gamma_0 is a hysteresis in front of
-    the dynamics. Each pass looks ``reach_samples`` further ahead.
+    the dynamics. Each pass looks ``reach_samples`` further
+    ahead. A path that is known as a whole (``drive_for``) takes accelerated steps of its own, which also
+    converge where passes lead away.
 
     The actuator starts at rest at its working point. A drive that stands at its range leaves the path, and
     the law does not know.
@@ -193,10 +231,11 @@ class LoopInverseLaw(Law[LoopPathState]):
         plain = on_grid(model.dynamics.model_copy(update={"input_delay_s": late_s}), sample_time_s)
         assert isinstance(plain, FeedbackBlock)
         self.block = plain
-        self.loop, self.passes, self.left = self._best(here)
+        self.loops, self.loop, self.passes, self.left = self._tried(here)
         self.taps = low_pass_taps(filter_hz, sample_time_s)
+        self._early = len(self.taps) // 2 + delay
         ahead = (1 + self.passes) * self.loop.inverse.reach_samples
-        self.preview_samples = ahead + len(self.taps) // 2 + delay
+        self.preview_samples = ahead + self._early
         if preview_s is not None and preview_s < self.preview_samples * sample_time_s:
             needed = f"{self.preview_samples * sample_time_s:.3g} s"
             raise InputError("preview_s", f"hysteresis in the loop needs {needed} here, not {preview_s:g}")
@@ -206,9 +245,9 @@ class LoopInverseLaw(Law[LoopPathState]):
         ahead = self.preview_samples
         return (
             f"{self.exact.invertibility.statement()} The hysteresis in the loop is inverted in "
-            f"{self.passes} iterations, with an error of {self.left:.1g} of a trial path. The "
-            f"reference must be known {ahead} samples ahead ({ahead * self.sample_time_s:.3g} s) and "
-            "start at rest (--lead-in)."
+            f"{self.passes} iterations on a stream, with an error of {self.left:.1g} of a trial path; a path "
+            "that is known as a whole is iterated until it is met. The reference must be known "
+            f"{ahead} samples ahead ({ahead * self.sample_time_s:.3g} s) and start at rest (--lead-in)."
         )
 
     def rest(self) -> LoopPathState:
@@ -233,8 +272,29 @@ class LoopInverseLaw(Law[LoopPathState]):
         drive, exact, _ = self.exact.solve(self._from_rest(v), start.exact, np.zeros(0))
         return drive, LoopPathState(raw[:, samples:].copy(), path[:, samples:].copy(), tuple(after), exact)
 
-    def _best(self, model: HammersteinModel) -> tuple[LoopPass, int, float]:
-        """Gains and number of passes that leave least of a trial path, and that part of it.
+    def drive_for(self, reference_um: ArrayLike) -> Array:
+        """Drive (m, N) aligned with a reference (p, N) that is known ahead; its last value is held.
+
+        The iterations are those of this path, with the gains that leave least of it.
+        """
+        reference = checked_reference(reference_um, self.n_outputs)
+        least, v = np.inf, np.zeros((self.block.n_inputs, reference.shape[1]))
+        for one in self.loops:
+            left, inputs = one.solved(self._known(one, reference))
+            if left < least:
+                least, v = left, inputs
+            if left <= ENOUGH or not reference.any():
+                break
+        return self.range.absolute(self.exact.solve(self._from_rest(v), self.exact.rest(), np.zeros(0))[0])
+
+    def _known(self, loop: LoopPass, reference: Array) -> Array:
+        """Filtered path (p, N + reach_samples) on which the inputs of a loop stand."""
+        before = np.zeros((len(reference), len(self.taps) - 1))
+        after = np.repeat(reference[:, -1:], self._early + loop.inverse.reach_samples, axis=1)
+        return filtered_by(self.taps, np.hstack([before, reference, after]))[:, self._early :]
+
+    def _tried(self, model: HammersteinModel) -> tuple[list[LoopPass], LoopPass, int, float]:
+        """Loops that have an inverse; the one that leaves least of a trial path, its passes, and what part.
 
         Raises SimulationError where no linear block has an inverse, or all of them lead away from the path.
         """
@@ -242,25 +302,25 @@ class LoopInverseLaw(Law[LoopPathState]):
         ends = model.hysteresis.amplitude(half).sum(axis=1)
         size = TRIAL_PART * np.abs(model.amplitude(half)).max(axis=1)
         gains = [self.block.slow_gain(share * ends) for share in SHARES]
-        found, refused = [], None
+        loops, refused = [], None
         for gain in (*gains, self.block.hysteresis.gain(FAR_V)):
             one = LoopPass(self.block, gain)
             try:
-                found.append((one, *one.tried(_trial_path(one.inverse, size))))
+                loops.append((one, _trial_path(one.inverse, size)))
             except SimulationError as error:
                 refused = error
-                continue
-            if found[-1][2] < ENOUGH:
-                break
-        if not found and refused:
+        if not loops and refused:
             raise refused
-        best = min(found, key=lambda one: one[2])
+        best: tuple[LoopPass, int, float] = (loops[0][0], 0, np.inf)
+        for one, path in loops:
+            if best[2] >= ENOUGH:
+                best = min(best, (one, *one.tried(path)), key=lambda found: found[2])
         if not best[2] < 1.0:
             raise SimulationError(
                 "The hysteresis in the loop is too strong for an inverse by iterations: they diverge "
                 "on a trial path. Use law none, with feedback or learning around it"
             )
-        return best
+        return [one for one, _ in loops], *best
 
 
 def _trial_path(inverse: LinearInverse, size_um: Array) -> Array:
