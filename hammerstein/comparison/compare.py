@@ -16,11 +16,11 @@ from hammerstein.dynamics import discretise
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.initialisation import start_mode
 from hammerstein.identification.model_selection import Trial, as_good, chosen, least, trial_of
+from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Score, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import own_starts
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.verdict import record_flags
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.parallel_tasks import Jobs

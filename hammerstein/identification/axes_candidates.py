@@ -26,7 +26,7 @@ from hammerstein.identification.linear.axis_search import (
 from hammerstein.identification.linear.axis_steps import rms_behind
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import TINY
-from hammerstein.identification.model_selection import FELT
+from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.initial_state import shortened
@@ -54,7 +54,6 @@ from hammerstein.identification.task import (
     WeightFits,
     thresholds_of,
 )
-from hammerstein.identification.verdict import axis_identified, creep_identified
 from hammerstein.records.record import Record
 
 GROWN_SAMPLES = 200_000
@@ -106,16 +105,14 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     task, guess, axes, others = _first_axes(task, guesses)
     blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.solver)
     if not may_creep and not _felt(static.best.blocks.chosen, blocks.chosen):
-        unfelt = [
-            replace(axis, rms_um=axis.static_rms_um) if axis_identified(axis) else axis for axis in axes
-        ]
+        unfelt = [replace(axis, rms_um=axis.static_rms_um) if axis.identified else axis for axis in axes]
         return replace(finished_static(without_dynamics(task), static), axes=tuple(unfelt), others=others)
     notes: tuple[str, ...] = ()
     if not np.all(blocks.chosen.rms_um <= CLEARLY_FELT * static.best.blocks.chosen.rms_um):
         coarse, static = static, finished_static(without_dynamics(task), static)
         if static.best is not coarse.best:
             task, guess, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
-    if settings.fits_thresholds and any(axis_identified(axis) for axis in axes):
+    if settings.fits_thresholds and any(axis.identified for axis in axes):
         begun = blocks
         axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
         notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
@@ -123,7 +120,7 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     axes, blocks, tried = _with_lag_and_creep(task, axes, blocks)
     if axes is not before and settings.fits_thresholds:
         axes, blocks = _thresholds_and_axes(task, _guess_of(guess, axes), axes, blocks)
-    if not any(axis_identified(axis) for axis in axes):
+    if not any(axis.identified for axis in axes):
         return replace(static, axes=axes, others=(*others, *tried))
     dynamics = dynamics_of(axes)
     linear = _axes(task, task.linear_thresholds(), _guess_of(guess, axes), thinning(task.records))
@@ -161,7 +158,7 @@ def _behind_fitted(
     """
     behind = replace(task, thresholds_v=thresholds_of(static))
     guesses: Sequence[FirstGuess] = (guess,)
-    if not all(axis_identified(axis) and axis.excited for axis in axes):
+    if not all(axis.identified and axis.excited for axis in axes):
         grids = SlopeColumns.of(behind.thresholds_v).grids
         guesses = guesses_of(task.records, task.starts, task.settings, task.progress, grids)
     late, near, found, _ = _first_axes(behind, [with_checked_delay(behind, one) for one in guesses])
@@ -208,7 +205,7 @@ def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
 def _guess_of(guess: FirstGuess, axes: Sequence[AxisFit]) -> FirstGuess:
     """Initial guess from fitted axes."""
     each = [
-        axis_parameters(fit.axis) if axis_identified(fit) else (shape, x)
+        axis_parameters(fit.axis) if fit.identified else (shape, x)
         for fit, shape, x in zip(axes, guess.shapes, guess.parameters, strict=True)
     ]
     return replace(guess, shapes=tuple(s for s, _ in each), parameters=tuple(x for _, x in each))
@@ -232,7 +229,7 @@ def _best_shapes(guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]) -> Firs
     """Of each output the simplest shape whose error is within two percent of the least, and one delay."""
     shapes, parameters = [], []
     for o in range(len(guesses[0].shapes)):
-        rms = [fit.axes[o].rms_um if axis_identified(fit.axes[o]) else math.inf for fit in fits]
+        rms = [fit.axes[o].rms_um if fit.axes[o].identified else math.inf for fit in fits]
         least = min(rms)
         order = sorted(range(len(fits)), key=lambda i: guesses[i].shapes[o].parameters)
         i = next((i for i in order if rms[i] <= least / (1.0 - FELT)), order[0])
@@ -282,7 +279,7 @@ def _with_lag_and_creep(
         trial = replace(trial, fitted=blocks.fitted)
         with_it = FittedModel(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
         name = {"lag": "a low-pass", "creep": "a creep mode"}[step]
-        if np.any(trial.chosen.rms_um <= (1.0 - FELT) * blocks.chosen.rms_um):
+        if _felt(blocks.chosen, trial.chosen):
             without = task.candidate(blocks.chosen.hysteresis, dynamics_of(axes))
             tried.append((f"without {name}", FittedModel(without, blocks, axes)))
             axes, blocks = found, trial
@@ -296,7 +293,7 @@ def _with(
 ) -> AxisFit:
     """One axis with one more low-pass or creep mode; unchanged if a quick search does not lower the error."""
     shape, x = axis_parameters(old.axis)
-    if not axis_identified(old):
+    if not old.identified:
         shape, x = AxisShape(False), np.empty(0)
     if step == "lag" and (shape.lag or not shape.resonance):
         return old
@@ -307,10 +304,10 @@ def _with(
     quick = replace(full, records=few, starts=begun, every=thinning(few)).mixed(slopes)
     larger = replace(shape, lag=True) if step == "lag" else replace(shape, creep_modes=shape.creep_modes + 1)
     point = (search_lag if step == "lag" else search_creep)(replace(quick, shape=larger), x)
-    if point.rms > (1.0 - FELT) * rms_behind(quick, x):
+    if not lowers(point.rms, rms_behind(quick, x)):
         return old
     fit = fit_axis(replace(full, shape=larger), point.x)
-    if axis_identified(fit) and (step == "lag" or creep_identified(fit, task.records)):
+    if fit.identified and (step == "lag" or fit.creep_identified(task.records)):
         return fit
     return replace(old, unsure=fit) if step == "creep" else old
 
@@ -345,11 +342,11 @@ def _thresholds_and_axes(
         task.progress("fitting the thresholds")
         thresholds_v = fitted_thresholds(task, thresholds_v, dynamics_of(near), rounds=1)
         begin = tuple(
-            axis_parameters(fit.axis)[1] if axis_identified(fit) else x
+            axis_parameters(fit.axis)[1] if fit.identified else x
             for fit, x in zip(near, guess.parameters, strict=True)
         )
         near = _axes(task, thresholds_v, replace(guess, parameters=begin), every).axes
-        if not any(axis_identified(axis) for axis in near):
+        if not any(axis.identified for axis in near):
             break
         trial = of_fitted(task, thresholds_v, dynamics_of(near))
         least = criterion(best[1].chosen, free) if best else math.inf
@@ -370,12 +367,12 @@ def _thresholds_and_axes(
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:
     """Whether dynamics lower the error of a static block that is bound to have an inverse."""
-    return bool(np.any(with_dynamics.rms_um <= (1.0 - FELT) * without.rms_um))
+    return any(map(lowers, with_dynamics.rms_um.tolist(), without.rms_um.tolist()))
 
 
 def dynamics_of(axes: Sequence[AxisFit]) -> AxesDynamics:
     """Linear block of the axes; those that the records do not tell pass their input unchanged."""
-    return AxesDynamics(axes=tuple(fit.axis if axis_identified(fit) else Axis() for fit in axes))
+    return AxesDynamics(axes=tuple(fit.axis if fit.identified else Axis() for fit in axes))
 
 
 def _as_found(axes: Sequence[AxisFit]) -> AxesDynamics:

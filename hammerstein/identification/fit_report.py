@@ -19,19 +19,22 @@ from hammerstein.identification.linear.axis_fit import AxisFit
 from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.operators import CurvePoint
-from hammerstein.identification.residual_analysis import faults_left, is_flag, residual_statements
-from hammerstein.identification.score import Candidate, Score, ranges, rest_errors
+from hammerstein.identification.residual_analysis import (
+    butterfly_flags,
+    faults_left,
+    is_flag,
+    record_flags,
+    residual_statements,
+    shape_flags,
+    turning_back_flags,
+)
+from hammerstein.identification.score import Candidate, Score, invertibility_of, ranges, rest_errors
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import direct_pairs, half_swing
 from hammerstein.identification.task import CandidateSet, FittedModel, Task
 from hammerstein.identification.verdict import (
     axis_statements,
     bound_notes,
-    butterfly_flags,
-    invertibility_of,
-    record_flags,
-    shape_flags,
-    turning_back_flags,
     verdict,
 )
 from hammerstein.model import HammersteinModel

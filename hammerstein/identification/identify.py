@@ -22,7 +22,7 @@ from hammerstein.identification.model_selection import Trial, chosen, trial_of
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.parameter_covariance import parameter_covariance
 from hammerstein.identification.recorded import counted, voltages_of
-from hammerstein.identification.score import Score, score
+from hammerstein.identification.score import Score, invertibility_of, score
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import build_state_space
@@ -31,7 +31,6 @@ from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.static_candidates import build_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Progress, Task
-from hammerstein.identification.verdict import axis_identified, invertibility_of
 from hammerstein.model import HammersteinModel
 from hammerstein.records.excitation import FEWEST_AT_REST, dead_start
 from hammerstein.records.record import Record
@@ -185,7 +184,7 @@ def _kept(task: Task, built: CandidateSet) -> tuple[CandidateSet, tuple[Trial, .
         told = invertibility_of(
             candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
         )
-        dynamics = not found.axes or any(axis_identified(axis) for axis in found.axes)
+        dynamics = not found.axes or any(axis.identified for axis in found.axes)
         trials.append(trial_of(name, candidate, task.records, own, invertible=told[0], told=dynamics))
     i = chosen(trials)
     _, kind, found = named[i]

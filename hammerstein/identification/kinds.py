@@ -20,7 +20,7 @@ from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
-from hammerstein.identification.model_selection import Trial, chosen, trial_of
+from hammerstein.identification.model_selection import Trial, chosen, lowers, trial_of
 from hammerstein.identification.operators import input_grids
 from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import (
@@ -30,7 +30,7 @@ from hammerstein.identification.output_dynamics import (
 )
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
-from hammerstein.identification.score import Candidate, score
+from hammerstein.identification.score import Candidate, invertibility_of, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,
     closed,
@@ -46,7 +46,6 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.identification.static_candidates import begun_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Task
-from hammerstein.identification.verdict import invertibility_of
 from hammerstein.records.record import Record
 
 WITHOUT_PLAYS = ("linear", "linear_dynamics")
@@ -283,7 +282,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
         moved = begun is not whole
         whole, found, task = begun, begun.behind, replace(task, starts=begun.starts)
         error = score(whole.candidate, task.records, task.starts).mean_percent
-        if error > (1.0 - WORTHWHILE) * least and not moved:
+        if not (moved or lowers(error, least, WORTHWHILE)):
             break
         least = error
     sure = sure_output_dynamics(task, whole.block.hysteresis, found)

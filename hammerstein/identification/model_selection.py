@@ -26,6 +26,8 @@ from hammerstein.records.record import Record
 
 FELT = 0.02
 """Part of the error that a gain must be to matter: less is not worth a parameter, however sure it is."""
+IMPROVED = 0.1
+"""Part by which a block must lower the error to be said to improve the model."""
 MOST_WORSE = 0.05
 """Part of the least error by which a simpler model may leave more where the difference may be chance."""
 ROUNDING = 1e-14
@@ -40,6 +42,17 @@ CLOSE = (
 )
 NO_BETTER = f"better by at most {100.0 * FELT:.0f} % or one standard error"
 """The same in words: rms error of a simpler model that is kept, and what is said of the larger one."""
+
+
+def lowers(rms: float, before: float, part: float = FELT) -> bool:
+    """Whether an rms error is below another one by a part of it that matters.
+
+    Examples
+    --------
+    >>> lowers(0.97, 1.0), lowers(0.99, 1.0), lowers(0.97, 1.0, IMPROVED)
+    (True, False, False)
+    """
+    return rms <= (1.0 - part) * before
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,11 +35,10 @@ from hammerstein.identification.linear.axis_task import (
     parameters_of,
 )
 from hammerstein.identification.linear.delay import TINY, best_delay
-from hammerstein.identification.model_selection import FELT
+from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.score import columns_of
 from hammerstein.identification.static.regressors import Regressors
 from hammerstein.identification.task import Task
-from hammerstein.identification.verdict import axis_identified, creep_identified
 
 MOST_CREEP = 3
 """Slow modes of an axis that ``auto`` may come to."""
@@ -148,14 +147,14 @@ def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
     asked : whether a number of slow modes was requested; these stay, identified or not
     """
     whole = fit
-    while fit.axis.creep and not ((asked or creep_identified(fit, one.records)) and _physical(fit.axis)):
+    while fit.axis.creep and not ((asked or fit.creep_identified(one.records)) and _physical(fit.axis)):
         shape, x = parameters_of(fit.axis)
         sizes = zip(fit.axis.creep, fit.creep_gain_errors, strict=True)
         least = int(np.argmin([abs(mode.gain) / max(error, TINY) for mode, error in sizes]))
         at = shape.slow + 2 * least
         one = replace(one, shape=replace(shape, creep_modes=shape.creep_modes - 1))
         fit = fit_axis(one, np.delete(x, [at, at + 1]))
-    if fit.axis.resonance_hz is not None and not axis_identified(fit):
+    if fit.axis.resonance_hz is not None and not fit.identified:
         return _with_lag_instead(one, fit)
     return fit if fit is whole or not _physical(whole.axis) else replace(fit, unsure=whole)
 
@@ -171,7 +170,7 @@ def _with_lag_instead(one: AxisTask, fit: AxisFit) -> AxisFit:
     if found is None:
         return plain
     lagging = fit_axis(replace(one, shape=found[0]), found[1].x)
-    return lagging if axis_identified(lagging) and lagging.rms_um < (1.0 - FELT) * plain.rms_um else plain
+    return lagging if lagging.identified and lowers(lagging.rms_um, plain.rms_um) else plain
 
 
 def _physical(axis: Axis) -> bool:

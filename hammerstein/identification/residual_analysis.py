@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -13,9 +14,12 @@ from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
+from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
+from hammerstein.records.turning_points import turning_points
 
 FAR = 3.0
 """Rms of what is left, in parts of the noise, from which it is said first."""
@@ -29,6 +33,18 @@ constant, and a model that has it predicts the hump."""
 MOST_DRIFT = 0.1
 """Drift of an output, in parts of its range, up to which a model is fit for use: evenly spread it adds 0.29
 of itself to the rms error, which is stated."""
+UNREPRESENTED_PERCENT = 10.0  # error of an output, of its range, from which the model is no picture of it
+SATURATING_PERCENT = 2.0  # of the range
+SATURATING_RATIO = 3.0
+"""Weights of one sign must miss the record by this much, absolutely and against free weights."""
+FLATTENED = 0.6
+"""Last slope, in parts of the steepest, below which a branch flattens towards its tip."""
+BUTTERFLY = 0.5
+"""Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
+TIP = 0.05  # part of the range about an end of the swing
+RETURNED, WHOLE_SWING = 0.05, 0.5
+"""Part of its range by which an output returns while the voltage goes on, from which a loop turns back on
+itself; swing, in parts of the largest, of which it is asked."""
 OF_A_CREEPING_MODEL = (
     ". The model has creep, but some creep remains in the prediction error, perhaps because of the "
     "kind of model: hammerstein compare tries the others"
@@ -140,3 +156,117 @@ def _proposal(settings: Settings) -> str:
         f"{kinds}use records with fewer effects at once (slower, one axis at a time): this kind of "
         "model has no saturation and no coupled resonances"
     )
+
+
+def record_flags(
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[InitialState],
+    explained: Collection[tuple[str, str]] = (),
+) -> list[str]:
+    """Records that the model misses by more than ten percent of their range.
+
+    ``explained`` are records and outputs of which the cause is known.
+    """
+    found = []
+    for record, start in zip(records, starts, strict=True):
+        rms = np.sqrt(np.mean(candidate.residual(record, start) ** 2, axis=1))
+        span = np.ptp(record.y_um[:, start.first :], axis=1)
+        moved = span >= 0.1 * np.ptp(record.y_um, axis=1).max()
+        percent = 100.0 * rms / np.where(moved, span, np.inf)
+        for o in np.flatnonzero((percent > UNREPRESENTED_PERCENT) & moved):
+            if (record.source, record.outputs[o]) in explained:
+                continue
+            found.append(
+                f"the error of {record.outputs[o]} in {record.source} is {percent[o]:.1f} % of its range"
+            )
+    return found
+
+
+def shape_flags(
+    records: Sequence[Record],
+    free: StaticFit,
+    one_sign: StaticFit,
+    spans_um: Array,
+    direct: Sequence[tuple[int, int]],
+) -> list[str]:
+    """Saturating loops: weights of one sign miss them, and the branches flatten towards the tips.
+
+    Parameters
+    ----------
+    records : fitted records
+    free, one_sign : fits with free weights, and with weights of the sign of the gain
+    spans_um : (output,) ranges of the outputs [um]
+    direct : pairs (output, input) to be judged
+    """
+    found = []
+    for o, k in direct:
+        missed = 100.0 * one_sign.rms_um[o] / spans_um[o]
+        needed = max(SATURATING_PERCENT, SATURATING_RATIO * 100.0 * free.rms_um[o] / spans_um[o])
+        slopes = np.abs(free.hysteresis.pairs[o][k].slopes)
+        if missed > needed and slopes[-1] < FLATTENED * slopes.max():
+            found.append(
+                f"{records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
+                f"falls to {100 * slopes[-1] / slopes.max():.0f} % of the steepest slope, weights of "
+                f"one sign have an error of {missed:.1f} % of the range, and minor loops will be wrong"
+            )
+    return found
+
+
+def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]) -> list[str]:
+    """Butterfly loops: the output is alike at both tips of the voltage, though it moves in between."""
+    found = []
+    for o, k in direct:
+        for record in records:
+            u, y = record.u_v[k], record.y_um[o]
+            margin = TIP * float(np.ptp(u))
+            if margin == 0.0:
+                continue
+            rise = abs(float(y[u >= u.max() - margin].mean() - y[u <= u.min() + margin].mean()))
+            if rise < BUTTERFLY * float(np.ptp(y)):
+                found.append(
+                    f"{record.outputs[o]} of {record.source} has no rising loop (a butterfly loop or "
+                    f"a strong lag): its tips differ by only {100 * rise / float(np.ptp(y)):.0f} % of "
+                    "the range"
+                )
+    return found
+
+
+def turning_back_flags(
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[InitialState],
+    direct: Sequence[tuple[int, int]],
+) -> list[str]:
+    """Loops that turn back: an output returns while its voltage keeps its direction, and the model does not.
+
+    The return is measured up to the turn of the voltage, so that a lag, which continues after a turn, does
+    not count.
+    """
+    found = []
+    for o, k in direct:
+        for record, start in zip(records, starts, strict=True):
+            if driven_inputs(record) != (k,):
+                continue
+            u, y = record.u_v[k, start.first :], record.y_um[o, start.first :]
+            returned = _returned(u, y) - _returned(u, candidate.predict(record, start)[o, start.first :])
+            if returned > RETURNED * float(np.ptp(y)):
+                found.append(
+                    f"{record.outputs[o]} of {record.source} turns back: it returns by "
+                    f"{100.0 * returned / float(np.ptp(y)):.0f} % of its range while "
+                    f"{record.inputs[k]} keeps its direction; lower the amplitude, or use one "
+                    "polarity only"
+                )
+    return found
+
+
+def _returned(u: Array, y: Array) -> float:
+    """How far an output returns until the voltage turns: median of the whole rises, or of the falls [um]."""
+    points = turning_points(u, WHOLE_SWING * float(np.ptp(u)))
+    gain = 1.0 if np.cov(u, y)[0, 1] >= 0.0 else -1.0
+    returns: dict[bool, list[float]] = {True: [], False: []}
+    for a, b in itertools.pairwise(points.tolist()):
+        rises = bool(u[b] > u[a])
+        moved = (gain if rises else -gain) * y[a : b + 1]
+        returns[rises].append(float(moved.max() - moved[-1]))
+    return max(float(np.median(one)) for one in returns.values() if one) if len(points) > 1 else 0.0

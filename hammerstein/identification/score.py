@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, Dynamics, LinearBlock
+from hammerstein.dynamics import AxesDynamics, Dynamics, LinearBlock, StateSpaceDynamics, discretise
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Identifiable
+from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import InitialState, Regressors
 from hammerstein.records.record import Record
 
+LOST = 1e-3
+"""Smallest gain, in parts of the largest at low frequency, that can be inverted."""
+LINES = 400
+"""Frequencies up to Nyquist at which the gain is looked at."""
 AT_REST = 0.01
 """Part of the swing by which a voltage may have moved while the actuator counts as at rest."""
 _block = lru_cache(maxsize=16)(SensorModel.block)
@@ -127,6 +134,37 @@ def score_of(errors: Sequence[Array], readings: Sequence[Array]) -> Score:
     percent = 100.0 * rms / _largest_range(readings)
     relative = 100.0 * np.sqrt(squares / np.maximum(power, np.finfo(float).tiny))
     return Score(tuple(percent.tolist()), tuple(rms.tolist()), tuple(relative.tolist()))
+
+
+def invertibility_of(
+    hysteresis: Hysteresis[Any],
+    dynamics: Dynamics,
+    range_v: ArrayLike,
+    sample_time_s: float,
+    inputs: Sequence[str],
+) -> tuple[bool, str]:
+    """Whether a model has an inverse, and a sentence that names the slope or the frequency to blame.
+
+    range_v : as ``invertibility`` takes it [V]
+    """
+    try:
+        static = replace(invertibility(hysteresis, range_v), inputs=tuple(inputs))
+        static_ok, sentence = static.invertible, static.statement()
+    except (InputError, SimulationError) as error:
+        static_ok, sentence = False, f"The hysteresis has no inverse: {error}"
+    if not isinstance(dynamics, StateSpaceDynamics):
+        return static_ok, sentence
+    frequency_hz = np.linspace(0.0, 0.5 / sample_time_s, LINES + 1)[:-1]
+    response = discretise(dynamics, sample_time_s).response(frequency_hz)
+    singular = np.linalg.svd(response, compute_uv=False)
+    weakest = int(np.argmin(singular[:, -1]))
+    if singular[weakest, -1] >= LOST * singular[0, 0]:
+        return static_ok, sentence
+    return False, (
+        f"{sentence} The linear block has no usable inverse at {frequency_hz[weakest]:.4g} Hz: in one "
+        f"direction of the outputs, the gain is only {singular[weakest, -1] / singular[0, 0]:.1e} of "
+        "the static gain."
+    )
 
 
 def rest_errors(

@@ -15,7 +15,7 @@ from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
-from hammerstein.identification.model_selection import FELT
+from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.static_block import (
     SquaresSolver,
@@ -92,7 +92,7 @@ def _in_turn(task: Task, begun: StateSpaceTrial) -> tuple[WeightFits, Candidate]
     blocks, best, error, before = begun.blocks, begun.best, begun.error, _error(task, begun.alone)
     told = len(task.records[0].u_v) == task.outputs  # or the outputs of the static block move together
     for _ in range(MOST_ROUNDS if told else 0):
-        if error > (1.0 - FELT) * before:
+        if not lowers(error, before):
             break
         task.progress("fitting the linear dynamics behind the static block")
         hysteresis = blocks.chosen.hysteresis

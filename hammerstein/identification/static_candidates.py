@@ -12,6 +12,7 @@ from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.delay import best_delay
 from hammerstein.identification.operators import CURVE_SAMPLES
+from hammerstein.identification.score import invertibility_of
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
 from hammerstein.identification.static.initial_state import closed, shortened
 from hammerstein.identification.static.regressors import InitialState
@@ -29,7 +30,6 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.identification.static.threshold_search import ThresholdTask
 from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
-from hammerstein.identification.verdict import invertibility_of
 from hammerstein.records.record import Record
 
 MOST_ROUNDS = 8

@@ -1,61 +1,23 @@
-"""Sentences about a fit: blocks that improve the model, and effects that it cannot represent."""
+"""Sentences about a fit: blocks that improve the model, and numbers that the records do not identify."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from hammerstein.arrays import Array
-from hammerstein.dynamics import Dynamics, StateSpaceDynamics, discretise
-from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Hysteresis
-from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.fit import KIND_NAMES, Kind
-from hammerstein.identification.linear.axis_fit import AxisFit
-from hammerstein.identification.model_selection import FELT, NO_BETTER
-from hammerstein.identification.rates import drive_hz
-from hammerstein.identification.score import Candidate, Score
-from hammerstein.identification.static.regressors import InitialState
+from hammerstein.identification.linear.axis_fit import SURE_CREEP, UNSURE_LAG_PERCENT, AxisFit
+from hammerstein.identification.model_selection import IMPROVED, NO_BETTER, lowers
+from hammerstein.identification.score import Score
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import pair_loops
 from hammerstein.records.record import Record
-from hammerstein.records.turning_points import turning_points
 
-IMPROVED = 0.1
-"""Part by which a block must lower the error to improve the model."""
-UNREPRESENTED_PERCENT = 10.0  # error of an output, of its range, from which the model is no picture of it
-SATURATING_PERCENT = 2.0  # of the range
-SATURATING_RATIO = 3.0
-"""Weights of one sign must miss the record by this much, absolutely and against free weights."""
-FLATTENED = 0.6
-"""Last slope, in parts of the steepest, below which a branch flattens towards its tip."""
-BUTTERFLY = 0.5
-"""Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
-TIP = 0.05  # part of the range about an end of the swing
-RETURNED, WHOLE_SWING = 0.05, 0.5
-"""Part of its range by which an output returns while the voltage goes on, from which a loop turns back on
-itself; swing, in parts of the largest, of which it is asked."""
 ALIKE = 0.05
 """Part by which the amplitudes of two loops may differ for their widths to be compared."""
 FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 """Rates that are two, and what makes a loop the wider one: parts of the other, and percent of the height."""
-UNSURE_PERCENT = 5.0  # standard error of a resonance from which it is named
-UNSURE_DAMPING_PERCENT = 30.0  # the same of a damping ratio
-UNSURE_LAG_PERCENT = 30.0  # the same of a low-pass
-APART = 2.0
-"""Ratio of the time constants of two slow modes from which they are two."""
-SURE_CREEP = 3.0
-"""Standard errors that the gain of a creep mode must have, if it was not asked for."""
-LOST = 1e-3
-"""Smallest gain, in parts of the largest at low frequency, that can be inverted."""
-LINES = 400
-"""Frequencies up to Nyquist at which the gain is looked at."""
+UNSURE_DAMPING_PERCENT = 30.0  # standard error of a damping ratio from which it is named
 UNTOLD = (
     "You asked for dynamics, but the records do not identify any: THIS MODEL IS STATIC. Add records "
     "nearer to the resonance, such as faster sines, steps or a multisine."
@@ -120,125 +82,11 @@ the model: it lowers the error from 7.4 to 0.8 %.
 def _improves(block: str, without: float, with_it: float) -> str:
     plural = block.endswith("dynamics")
     improve, it, lower = ("improve", "they", "lower") if plural else ("improves", "it", "lowers")
-    if with_it <= (1.0 - IMPROVED) * without:
+    if lowers(with_it, without, IMPROVED):
         return f"{block} {improve} the model: {it} {lower} the error from {without:.3g} to {with_it:.3g} %."
     do, it = ("do", "them") if plural else ("does", "it")
     errors = f"{without:.3g} % without and {with_it:.3g} % with {it}"
     return f"{block} {do} not improve the model: the error is {errors}."
-
-
-def record_flags(
-    candidate: Candidate,
-    records: Sequence[Record],
-    starts: Sequence[InitialState],
-    explained: Collection[tuple[str, str]] = (),
-) -> list[str]:
-    """Records that the model misses by more than ten percent of their range.
-
-    ``explained`` are records and outputs of which the cause is known.
-    """
-    found = []
-    for record, start in zip(records, starts, strict=True):
-        rms = np.sqrt(np.mean(candidate.residual(record, start) ** 2, axis=1))
-        span = np.ptp(record.y_um[:, start.first :], axis=1)
-        moved = span >= 0.1 * np.ptp(record.y_um, axis=1).max()
-        percent = 100.0 * rms / np.where(moved, span, np.inf)
-        for o in np.flatnonzero((percent > UNREPRESENTED_PERCENT) & moved):
-            if (record.source, record.outputs[o]) in explained:
-                continue
-            found.append(
-                f"the error of {record.outputs[o]} in {record.source} is {percent[o]:.1f} % of its range"
-            )
-    return found
-
-
-def shape_flags(
-    records: Sequence[Record],
-    free: StaticFit,
-    one_sign: StaticFit,
-    spans_um: Array,
-    direct: Sequence[tuple[int, int]],
-) -> list[str]:
-    """Saturating loops: weights of one sign miss them, and the branches flatten towards the tips.
-
-    Parameters
-    ----------
-    records : fitted records
-    free, one_sign : fits with free weights, and with weights of the sign of the gain
-    spans_um : (output,) ranges of the outputs [um]
-    direct : pairs (output, input) to be judged
-    """
-    found = []
-    for o, k in direct:
-        missed = 100.0 * one_sign.rms_um[o] / spans_um[o]
-        needed = max(SATURATING_PERCENT, SATURATING_RATIO * 100.0 * free.rms_um[o] / spans_um[o])
-        slopes = np.abs(free.hysteresis.pairs[o][k].slopes)
-        if missed > needed and slopes[-1] < FLATTENED * slopes.max():
-            found.append(
-                f"{records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
-                f"falls to {100 * slopes[-1] / slopes.max():.0f} % of the steepest slope, weights of "
-                f"one sign have an error of {missed:.1f} % of the range, and minor loops will be wrong"
-            )
-    return found
-
-
-def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]) -> list[str]:
-    """Butterfly loops: the output is alike at both tips of the voltage, though it moves in between."""
-    found = []
-    for o, k in direct:
-        for record in records:
-            u, y = record.u_v[k], record.y_um[o]
-            margin = TIP * float(np.ptp(u))
-            if margin == 0.0:
-                continue
-            rise = abs(float(y[u >= u.max() - margin].mean() - y[u <= u.min() + margin].mean()))
-            if rise < BUTTERFLY * float(np.ptp(y)):
-                found.append(
-                    f"{record.outputs[o]} of {record.source} has no rising loop (a butterfly loop or "
-                    f"a strong lag): its tips differ by only {100 * rise / float(np.ptp(y)):.0f} % of "
-                    "the range"
-                )
-    return found
-
-
-def turning_back_flags(
-    candidate: Candidate,
-    records: Sequence[Record],
-    starts: Sequence[InitialState],
-    direct: Sequence[tuple[int, int]],
-) -> list[str]:
-    """Loops that turn back: an output returns while its voltage keeps its direction, and the model does not.
-
-    The return is measured up to the turn of the voltage, so that a lag, which continues after a turn, does
-    not count.
-    """
-    found = []
-    for o, k in direct:
-        for record, start in zip(records, starts, strict=True):
-            if driven_inputs(record) != (k,):
-                continue
-            u, y = record.u_v[k, start.first :], record.y_um[o, start.first :]
-            returned = _returned(u, y) - _returned(u, candidate.predict(record, start)[o, start.first :])
-            if returned > RETURNED * float(np.ptp(y)):
-                found.append(
-                    f"{record.outputs[o]} of {record.source} turns back: it returns by "
-                    f"{100.0 * returned / float(np.ptp(y)):.0f} % of its range while "
-                    f"{record.inputs[k]} keeps its direction; lower the amplitude, or use one "
-                    "polarity only"
-                )
-    return found
-
-
-def _returned(u: Array, y: Array) -> float:
-    """How far an output returns until the voltage turns: median of the whole rises, or of the falls [um]."""
-    points = turning_points(u, WHOLE_SWING * float(np.ptp(u)))
-    gain = 1.0 if np.cov(u, y)[0, 1] >= 0.0 else -1.0
-    returns: dict[bool, list[float]] = {True: [], False: []}
-    for a, b in itertools.pairwise(points.tolist()):
-        rises = bool(u[b] > u[a])
-        moved = (gain if rises else -gain) * y[a : b + 1]
-        returns[rises].append(float(moved.max() - moved[-1]))
-    return max(float(np.median(one)) for one in returns.values() if one) if len(points) > 1 else 0.0
 
 
 def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str]:
@@ -255,7 +103,7 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
                 f"resonance and damping of {name}: {fit.axis.resonance_hz:.4g} Hz is among the first "
                 "harmonics of the only rate in the records, which hysteresis makes, too; record another rate"
             )
-        elif not axis_identified(fit):
+        elif not fit.identified:
             found.append(
                 f"resonance and damping of {name}: dynamics {_how_much_better(fit)} ({fit.rms_um:.4g} "
                 f"um with, {fit.static_rms_um:.4g} um without); excite the axis nearer to its "
@@ -286,7 +134,7 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
 def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     """Slow modes that were left out although they lower the error."""
     larger = fit.unsure
-    if larger is None or larger.rms_um > (1.0 - IMPROVED) * fit.rms_um:
+    if larger is None or not lowers(larger.rms_um, fit.rms_um, IMPROVED):
         return
     mode, error = larger.axis.creep[-1], larger.creep_gain_errors[-1]
     size = f"{mode.gain:.2g} +- {error:.2g}"
@@ -300,46 +148,11 @@ def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
 
 
 def _how_much_better(fit: AxisFit) -> str:
-    if fit.rms_um > (1.0 - FELT) * fit.static_rms_um:
+    if not lowers(fit.rms_um, fit.static_rms_um):
         return "do not lower the error"
-    if _lowers_the_error(fit):
+    if fit.lowers_the_error:
         return "lower the error, but the records do not determine them"
     return "hardly lower the error"
-
-
-def _lowers_the_error(fit: AxisFit) -> bool:
-    return fit.rms_um <= (1.0 - (FELT if fit.excited else IMPROVED)) * fit.static_rms_um
-
-
-def axis_identified(fit: AxisFit) -> bool:
-    """Whether the records identify the dynamics of an axis.
-
-    A resonance outside the excited band must lower the error as much as any block that improves the model:
-    below it, it only bends the response, as drift and creep do. At a single rate, a lag and a resonance among
-    the first harmonics may be hysteresis.
-    """
-    if fit.one_rate or not _lowers_the_error(fit):
-        return False
-    known = fit.resonance_error_percent is None or fit.resonance_error_percent <= UNSURE_PERCENT
-    return known and (fit.lag_error_percent is None or fit.lag_error_percent <= UNSURE_LAG_PERCENT)
-
-
-def creep_identified(fit: AxisFit, records: Sequence[Record]) -> bool:
-    """Whether the records identify the creep of an axis: slow modes of clear size that end within a record.
-
-    A mode that follows the drive within a radian of its slowest record cannot be separated from the gain, nor
-    a mode slower than the longest record from drift. Two modes with nearly the same time constant count as
-    one.
-    """
-    longest = max(record.sample_time_s * record.samples for record in records)
-    shortest = 0.5 / np.pi / min(drive_hz(record) for record in records)
-    times = sorted(mode.time_constant_s for mode in fit.axis.creep)
-    if any(slower < APART * faster for faster, slower in itertools.pairwise(times)):
-        return False
-    return all(
-        shortest <= mode.time_constant_s <= longest and abs(mode.gain) >= SURE_CREEP * error
-        for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True)
-    )
 
 
 def bound_notes(
@@ -381,6 +194,7 @@ def widening(records: Sequence[Record], k: int, o: int) -> str:
 
     Examples
     --------
+    >>> import numpy as np
     >>> n = np.arange(4000)
     >>> records = []
     >>> for period, lag in ((1000, 0.02), (200, 0.1)):
@@ -402,34 +216,3 @@ def widening(records: Sequence[Record], k: int, o: int) -> str:
         if fast > FASTER * slow and wide > WIDER * narrow and wide > narrow + WIDER_PERCENT:
             return f"its loop is {narrow:.2g} % wide at {slow:.3g} Hz and {wide:.2g} % at {fast:.3g} Hz"
     return ""
-
-
-def invertibility_of(
-    hysteresis: Hysteresis[Any],
-    dynamics: Dynamics,
-    range_v: ArrayLike,
-    sample_time_s: float,
-    inputs: Sequence[str],
-) -> tuple[bool, str]:
-    """Whether a model has an inverse, and a sentence that names the slope or the frequency to blame.
-
-    range_v : as ``invertibility`` takes it [V]
-    """
-    try:
-        static = replace(invertibility(hysteresis, range_v), inputs=tuple(inputs))
-        static_ok, sentence = static.invertible, static.statement()
-    except (InputError, SimulationError) as error:
-        static_ok, sentence = False, f"The hysteresis has no inverse: {error}"
-    if not isinstance(dynamics, StateSpaceDynamics):
-        return static_ok, sentence
-    frequency_hz = np.linspace(0.0, 0.5 / sample_time_s, LINES + 1)[:-1]
-    response = discretise(dynamics, sample_time_s).response(frequency_hz)
-    singular = np.linalg.svd(response, compute_uv=False)
-    weakest = int(np.argmin(singular[:, -1]))
-    if singular[weakest, -1] >= LOST * singular[0, 0]:
-        return static_ok, sentence
-    return False, (
-        f"{sentence} The linear block has no usable inverse at {frequency_hz[weakest]:.4g} Hz: in one "
-        f"direction of the outputs, the gain is only {singular[weakest, -1] / singular[0, 0]:.1e} of "
-        "the static gain."
-    )

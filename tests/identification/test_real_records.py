@@ -16,7 +16,6 @@ from hammerstein.identification.residual_analysis import faults_left
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.verdict import creep_identified
 from hammerstein.records.record import Record
 
 RATE_HZ = 2000.0
@@ -141,6 +140,6 @@ def test_two_slow_modes_at_one_time_stand_for_one():
     twice = tuple(CreepMode(gain=0.03, time_constant_s=time_s) for time_s in (0.60, 0.62))
     fit = AxisFit(Axis(creep=twice), None, None, (0.001, 0.001), 0.1, 1.0)
     read = [held_then_triangles(stage(), 20.0, 0.0)]
-    assert not creep_identified(fit, read)
+    assert not fit.creep_identified(read)
     apart = (twice[0], twice[1].model_copy(update={"time_constant_s": 1.3}))
-    assert creep_identified(replace(fit, axis=Axis(creep=apart)), read)
+    assert replace(fit, axis=Axis(creep=apart)).creep_identified(read)

@@ -22,7 +22,7 @@ from hammerstein.identification.linear.delay import _part_of_a_sample
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
-from hammerstein.identification.verdict import axis_identified, axis_statements
+from hammerstein.identification.verdict import axis_statements
 from hammerstein.records.record import Record
 
 T = 5e-5
@@ -187,7 +187,7 @@ def test_a_slow_record_tells_no_resonance():
     u[0] = 10.0 * np.sin(2.0 * np.pi * np.arange(2000) / 1000)
     u[1] = 10.0 * np.sin(2.0 * np.pi * np.arange(2000) / 800)
     fit = fitted([record_of(u, 0.04, np.random.default_rng(0), sample_time_s=0.01)])
-    assert not any(axis_identified(axis) for axis in fit.axes)
+    assert not any(axis.identified for axis in fit.axes)
     statements = axis_statements(("x", "y"), fit.axes)
     assert statements[0].startswith("resonance and damping of x: dynamics do not lower the error")
 
@@ -331,6 +331,6 @@ def test_a_resonance_among_the_harmonics_of_the_only_rate_is_not_told(rates_hz, 
         AxisTask(records, starts, (R,), 0, AxisShape(), 0, SensorModel(SENSOR_HZ)), np.log([1.9, 0.1])
     )
     assert fit.axis.resonance_hz == pytest.approx(2.0, rel=0.01)
-    assert axis_identified(fit) is told
+    assert fit.identified is told
     said = [line for line in axis_statements(("x",), [fit]) if "first harmonics of the only rate" in line]
     assert bool(said) is not told

@@ -13,7 +13,6 @@ from hammerstein.identification.identify import from_last_rest, identify
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import judged_starts, own_starts
-from hammerstein.identification.verdict import axis_identified
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
 
@@ -169,7 +168,7 @@ def _numbers(made, fit):
         ]
         for name, value, percent, true in rows:
             unknown = any(name in said and f"of {output}" in said for said in fit.not_identifiable)
-            if value is None or percent is None or unknown or not axis_identified(one):
+            if value is None or percent is None or unknown or not one.identified:
                 continue
             stated.append(f"{name} of {output}")
             error = 0.01 * percent * value

@@ -14,10 +14,11 @@ from hammerstein.identification.fit_report import left_out, model_of, offsets
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.periods import start_of
 from hammerstein.identification.model_selection import Trial
+from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, Score, score
 from hammerstein.identification.state_space_candidates import gain_model, state_space
 from hammerstein.identification.static.static_block import half_swing
-from hammerstein.identification.verdict import record_flags, verdict
+from hammerstein.identification.verdict import verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 

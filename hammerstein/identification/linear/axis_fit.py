@@ -15,11 +15,18 @@ from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.identification.linear.axis_search import FirstGuess, Progress, uniform_grids
 from hammerstein.identification.linear.axis_steps import Point, fit_slopes, refine, residuals
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
+from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
 from hammerstein.identification.rates import drive_hz, several_rates
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
 from hammerstein.records.record import Record
 
+UNSURE_PERCENT = 5.0  # standard error of a resonance from which the records do not identify it
+UNSURE_LAG_PERCENT = 30.0  # the same of a low-pass
+APART = 2.0
+"""Ratio of the time constants of two slow modes from which they are two."""
+SURE_CREEP = 3.0
+"""Standard errors that the gain of a creep mode must have, if it was not asked for."""
 CREEP_OPERATORS = 6  # few: creep is slower than any loop
 PARTS = 16
 """Parts of a record within which errors may be related."""
@@ -60,6 +67,43 @@ class AxisFit:
     excited: bool = True
     one_rate: bool = False
     unsure: AxisFit | None = None
+
+    @property
+    def lowers_the_error(self) -> bool:
+        """Whether the dynamics lower the error by a part that matters.
+
+        A resonance outside the excited band must lower it as much as any block that improves the model: below
+        it, it only bends the response, as drift and creep do.
+        """
+        return lowers(self.rms_um, self.static_rms_um, FELT if self.excited else IMPROVED)
+
+    @property
+    def identified(self) -> bool:
+        """Whether the records identify the dynamics.
+
+        At a single rate, a lag and a resonance among the first harmonics may be hysteresis.
+        """
+        if self.one_rate or not self.lowers_the_error:
+            return False
+        known = self.resonance_error_percent is None or self.resonance_error_percent <= UNSURE_PERCENT
+        return known and (self.lag_error_percent is None or self.lag_error_percent <= UNSURE_LAG_PERCENT)
+
+    def creep_identified(self, records: Sequence[Record]) -> bool:
+        """Whether the records identify the creep: slow modes of clear size that end within a record.
+
+        A mode that follows the drive within a radian of its slowest record cannot be separated from the gain,
+        nor a mode slower than the longest record from drift. Two modes with nearly the same time constant
+        count as one.
+        """
+        longest = max(record.sample_time_s * record.samples for record in records)
+        shortest = 0.5 / np.pi / min(drive_hz(record) for record in records)
+        times = sorted(mode.time_constant_s for mode in self.axis.creep)
+        if any(slower < APART * faster for faster, slower in itertools.pairwise(times)):
+            return False
+        return all(
+            shortest <= mode.time_constant_s <= longest and abs(mode.gain) >= SURE_CREEP * error
+            for mode, error in zip(self.axis.creep, self.creep_gain_errors, strict=True)
+        )
 
     def with_errors(self, errors: Array) -> AxisFit:
         """Return the same with the standard errors of ``axis.free`` (number,)."""
