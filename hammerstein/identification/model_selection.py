@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from hammerstein.dynamics import (
 from hammerstein.identification.score import Candidate, columns_of, ranges
 from hammerstein.identification.static.folds import FOLDS, PARTS, moments_of_folds, refitted
 from hammerstein.identification.static.normal_equations import Moments, pooled, squares_left
-from hammerstein.identification.static.regressors import InitialState
+from hammerstein.identification.static.regressors import InitialState, Regressors
 from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record
 
@@ -246,16 +246,22 @@ def moments_of_output(
     parts: int = PARTS,
 ) -> list[Mapping[int, Moments]]:
     """Moments of each fold of each record with the columns of one output behind its path."""
-    p, n = len(records[0].y_um), len(candidate.hysteresis.weights[o])
+    n = len(candidate.hysteresis.weights[o])
     found: list[Mapping[int, Moments]] = []
     for record, start in zip(records, starts, strict=True):
-        whole, part_s = split_delay(candidate.dynamics.input_delay_s, record.sample_time_s)
-        prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
-        paths = candidate.sensor.paths(prompt, [record])
-        columns = columns_of(candidate.hysteresis, record, start, o)
-        blocks = columns.blocks(start, whole, path_filters(paths, 0, o, n, p))
+        blocks = behind_path(candidate, record, start, o, columns_of(candidate.hysteresis, record, start, o))
         found.append(moments_of_folds(blocks, record.y_um[[o]], start.first, n, parts))
     return found
+
+
+def behind_path(
+    candidate: Candidate, record: Record, start: InitialState, o: int, columns: Regressors
+) -> Iterator[tuple[int, Array]]:
+    """First sample and rows (column, sample) of blocks of columns behind the linear block and the sensor."""
+    whole, part_s = split_delay(candidate.dynamics.input_delay_s, record.sample_time_s)
+    prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
+    paths = candidate.sensor.paths(prompt, [record])
+    return columns.blocks(start, whole, path_filters(paths, 0, o, len(columns.held), len(record.y_um)))
 
 
 def _unfitted_squares(

@@ -16,6 +16,9 @@ of a record (White, Econometrica 48 (1980) 817-838); where that makes an error l
 the actuator by independent fractions of their cells, and the fitted parameters follow. Without thresholds it
 is attributed to the fitted parameters, mostly along the directions that the records determine least. Either
 is scaled, by simulated draws, until it explains the residual: a linearisation holds for small changes only.
+
+* The parameters of the axes may have taken up an error of the hysteresis, which is then not in the residual.
+They err by as much as they move beside columns of other laws; see ``misspecification``.
 """
 
 from __future__ import annotations
@@ -33,9 +36,11 @@ from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
+from hammerstein.identification.misspecification import moved_beside_other_laws, other_columns
 from hammerstein.identification.rates import fastest_rad_per_s
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import InitialState
+from hammerstein.identification.static.static_block import half_swing
 from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
 from hammerstein.records.record import Record
 
@@ -88,7 +93,8 @@ def parameter_covariance(
     misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares, most)
     alone = np.linalg.norm(own, axis=1)
     untold = [int(i) for i in fitted if i < cells and alone[i] > UNTOLD * scale[i]]
-    factor = triangle(np.hstack([own, misfit]))
+    taken = _taken_by_axes(candidate, records, starts, told, mean, fitted, scale)
+    factor = triangle(np.hstack([own, misfit, taken]))
     return ParameterCovariance(factor, mean.following, tuple(fitted.tolist()), tuple(untold))
 
 
@@ -237,6 +243,42 @@ def _scores(one: _Told, mean: _Mean, fitted: Indices) -> list[Array]:
     for a, b in itertools.pairwise(ends):
         found.append(np.sum([m[:, a:b] @ left[a:b] for m, left in zip(moves, one.left, strict=True)], axis=0))
     return found
+
+
+def _taken_by_axes(
+    candidate: Candidate,
+    records: Sequence[Record],
+    starts: Sequence[InitialState],
+    told: Sequence[_Told],
+    mean: _Mean,
+    fitted: Indices,
+    scale: Array,
+) -> Array:
+    """Matrix S (number, output): by how much the numbers of the axes move beside columns of other laws."""
+    spread, dynamics = np.zeros((len(scale), len(mean.misfit))), candidate.dynamics
+    if not (isinstance(dynamics, AxesDynamics) and len(dynamics.free) and mean.misfit.any()):
+        return spread
+    swing, others = half_swing(records), []
+    for one, record, start in zip(told, records, starts, strict=True):
+        groups = other_columns(candidate, record, start, swing)
+        others.append([[_averaged(x, one.every) for x in group] for group in groups])
+    first = len(scale) - len(dynamics.free)
+    for o, (axis, misfit) in enumerate(zip(dynamics.axes, mean.misfit.tolist(), strict=True)):
+        own = np.arange(first, first + len(axis.free))
+        first += len(axis.free)
+        if own.size and misfit > 0.0:
+            numbers = np.concatenate([fitted[fitted < len(scale) - len(dynamics.free)], own])
+            change = moved_beside_other_laws(
+                np.hstack([one.by_numbers[o][numbers] for one in told]),
+                np.hstack([one.by_weights[o] for one in told]),
+                np.hstack([np.vstack([group[o] for group in groups]) for groups in others]),
+                np.hstack([one.left[o] for one in told]),
+                scale[numbers] ** -2.0,
+                misfit,
+                float(mean.variance[o]) / told[0].every,
+            )[-own.size :]
+            spread[own, o] = np.clip(change, -scale[own], scale[own])
+    return spread
 
 
 def _excess(mean: _Mean) -> float:
