@@ -28,8 +28,8 @@ from hammerstein.identification.static.regressors import InitialState, Regressor
 from hammerstein.records.record import Record
 
 PLAYS, POWERS = 8, (1, 2, 3)
-"""Plays of each input, from a threshold of 0 to an eighth below half the swing, and the powers of each. Together
-with the loops they leave at most a sixth of the misfit of random actuators of five laws."""
+"""Plays of each input, from a threshold of 0 to an eighth below half the swing, and the powers of each.
+Together with the loops they leave at most a sixth of the misfit of random actuators of five laws."""
 
 
 def moved_beside_other_laws(
