@@ -76,12 +76,12 @@ def other_columns(
 
 def _other_laws(record: Record, start: InitialState, swing_v: Array) -> Iterator[Regressors]:
     """Powers of plays of all inputs, and Bouc-Wen loops of nine shapes, in parts of the half swings."""
-    grids = [Pair(v / PLAYS * np.arange(PLAYS), np.ones(PLAYS)) for v in swing_v.tolist()]
-    plays, size = columns_of(PrandtlIshlinskii([grids]), record, start, 0), np.repeat(swing_v, PLAYS)
+    row = tuple(Pair(v / PLAYS * np.arange(PLAYS), np.ones(PLAYS)) for v in swing_v.tolist())
+    plays, size = columns_of(PrandtlIshlinskii((row,)), record, start, 0), np.repeat(swing_v, PLAYS)
     for power in POWERS:
         yield Regressors((plays.values / size[:, None]) ** power, (plays.held / size) ** power)
     for rate, share in itertools.product(FIRST_RATES, FIRST_SHARES):
         loads = (rate / swing_v).tolist()
-        loops = BoucWen([[BoucWenPair(1.0, 1.0, share * load, (1.0 - share) * load) for load in loads]])
-        both = columns_of(loops, record, start, 0)
+        loops = tuple(BoucWenPair(1.0, 1.0, share * load, (1.0 - share) * load) for load in loads)
+        both = columns_of(BoucWen((loops,)), record, start, 0)
         yield Regressors(both.values[1::2] / swing_v[:, None], both.held[1::2] / swing_v)
