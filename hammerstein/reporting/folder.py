@@ -14,7 +14,7 @@ from hammerstein.escaping import cell
 from hammerstein.experiment.report import Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.reporting.html.interactive import Interactive
-from hammerstein.reporting.kept_reports import found, keep, key_of_report
+from hammerstein.reporting.kept_reports import drawn, found, keep, key_of_report
 from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import Stage, prepare, staged
@@ -71,14 +71,10 @@ def write_report(
     from hammerstein.reporting.run_page import run_page
 
     with staged(folder, REPORT, overwrite) as stage:
-        drawn: dict[str, bytes] = {}
-        if figures:
-            from hammerstein.reporting.figures.figure_cache import drawn as files_drawn
-
-            drawn = files_drawn(report, store, png)
+        files = drawn(report, store, png) if figures else {}
         if traces is not None:
             _write_traces(report, stage, traces)
-        run_page(report, drawn).write(stage, "report", drawn, _plots(report) if interactive else None)
+        run_page(report, files).write(stage, "report", files, _plots(report) if interactive else None)
     return WrittenReport(tuple(stage.written), stage.kept)
 
 

@@ -1,4 +1,4 @@
-"""Reports that are written without a run: nothing that they depend on has changed."""
+"""Reports that are written without a run, and figures without being drawn: nothing has changed for them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,47 @@ from hammerstein.metrics import Row
 from hammerstein.runtime.storage.manifest import Manifest, digest_of, is_inside
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
+from hammerstein.scenario.scenario import WORDS
+
+
+def drawn(report: Report, store: Store | None = None, png: bool = False) -> dict[str, bytes]:
+    """Bytes of each file of a report's figures by name; drawn where the store does not have them.
+
+    Parameters
+    ----------
+    report : result of ``hammerstein.experiment.run.run``, with its traces
+    store : where figures are kept and found; all are drawn if not given
+    png : whether PNG files are wanted beside SVG
+    """
+    key = None if store is None else key_of_figures(report, png)
+    entry = None if store is None or key is None else store.read(key)
+    if entry is not None:
+        return _bytes(entry)
+    from hammerstein.reporting.figures.choice import figures_of
+    from hammerstein.reporting.figures.write import files_of
+
+    made = dict(files_of(figures_of(report), png))
+    if store is not None and key is not None:
+        store.write(key, Kept(None, _arrays(made)))
+    return made
+
+
+def key_of_figures(report: Report, png: bool) -> str | None:
+    """Key of all figures of a report, which no question and no tolerance changes; None as for a report."""
+    try:
+        portable, files = report.scenario.content()
+    except OSError:
+        return None
+    shown = {name: value for name, value in portable.items() if name not in WORDS}
+    return key_of("figures", [shown, files, report.reading_first, png])
+
+
+def _arrays(files: Mapping[str, bytes]) -> dict[str, Any]:
+    return {name: np.frombuffer(content, np.uint8) for name, content in files.items()}
+
+
+def _bytes(entry: Kept) -> dict[str, bytes]:
+    return {name: content.tobytes() for name, content in entry.arrays.items()}
 
 
 def key_of_report(name: str, scenario: Scenario, form: str) -> str | None:
@@ -37,8 +78,7 @@ def keep(store: Store, key: str, report: Report, folder: Path, names: list[str])
     listed = Manifest.read(folder).files
     contents = {name: (folder / name).read_bytes() for name in names}
     if all(name in listed and digest_of(folder / name) == listed[name].sha256 for name in names):
-        files = {name: np.frombuffer(content, np.uint8) for name, content in contents.items()}
-        store.write(key, Kept(_document(report), files))
+        store.write(key, Kept(_document(report), _arrays(contents)))
 
 
 def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report, dict[str, bytes]] | None:
@@ -46,8 +86,7 @@ def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report
     entry = store.read(key)
     if entry is None or not all(map(is_inside, entry.arrays)):
         return None
-    files = {file: content.tobytes() for file, content in entry.arrays.items()}
-    return _report(entry.document, name, scenario), files
+    return _report(entry.document, name, scenario), _bytes(entry)
 
 
 def _document(report: Report) -> dict[str, Any]:

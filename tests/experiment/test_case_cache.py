@@ -358,31 +358,37 @@ def test_the_command_line_runs_only_what_changed(place, tmp_path, worked_out, mo
     assert (tmp_path / "5" / "s" / "traces").is_dir()
 
 
-def test_a_figure_that_was_drawn_is_not_drawn_again(place, tmp_path, monkeypatch):
-    """Killed between two figures, the next run draws the second alone."""
+def test_figures_that_were_drawn_are_not_drawn_again(place, tmp_path, monkeypatch):
+    """Killed behind the figures, the next run draws none."""
     (tmp_path / "s.toml").write_text(FILE)
     arguments = ("run", tmp_path / "s.toml", "--jobs", "1", "--out")
+    from hammerstein.reporting import run_page
     from hammerstein.reporting.figures import write
 
-    count, real = [], write.svg_of
-
-    def fails(figure):
-        if count:
-            raise ZeroDivisionError
-        count.append(figure)
-        return real(figure)
+    def fails(*_):
+        raise ZeroDivisionError
 
     with monkeypatch.context() as patch:
-        patch.setattr(write, "svg_of", fails)
+        patch.setattr(run_page, "run_page", fails)
         assert called(*arguments, tmp_path / "1") == 70
-    drawn = []
+    drawn, real = [], write.svg_of
     monkeypatch.setattr(write, "svg_of", lambda figure: drawn.append(figure) or real(figure))
     assert called(*arguments, tmp_path / "1") == 0
-    assert len(drawn) == 1
-    drawn.clear()
+    assert drawn == []
     assert called(*arguments, tmp_path / "2", "--fresh") == 0
     assert len(drawn) == 2
     assert content(tmp_path / "1") == content(tmp_path / "2")
+
+
+def test_figures_follow_what_the_assessment_is_about(place, tmp_path):
+    """The paper's are of the reading, others of the true position."""
+    asked = f'{FILE}\n[assessment]\nkind = "paper"\n'
+    for folder, text in enumerate((FILE, asked)):
+        (tmp_path / "s.toml").write_text(text)
+        assert called("run", tmp_path / "s.toml", "--jobs", "1", "--out", tmp_path / str(folder)) == 0
+    drawn = [sorted((tmp_path / name / "s").glob("*.svg")) for name in "01"]
+    assert [file.name for file in drawn[0]] == [file.name for file in drawn[1]] != []
+    assert [file.read_bytes() for file in drawn[0]] != [file.read_bytes() for file in drawn[1]]
 
 
 def test_a_check_reads_nothing_that_was_kept(place, tmp_path, monkeypatch):
