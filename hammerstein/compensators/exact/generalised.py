@@ -51,7 +51,7 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
         self.hysteresis = hysteresis.counted_from(self.range.working_point_v)
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         self.plays = self._of_plays(model, softening_v, run_anyway)
-        self._design = self.plays.design_tables()
+        self._design, self._start = self.plays.design_tables(), self.plays.rest()
         found = invertibility(self.hysteresis, np.array(self.range.counted), model.amplitude_v)
         self.invertibility = replace(found, inputs=model.inputs)
         self.softening_v, self.origin_um = softening_v, self.plays.origin_um
@@ -66,18 +66,6 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
         voltages = Voltages.symmetric(model.amplitude_v, self.n_inputs)
         plays = replace(model, hysteresis=self.hysteresis.plays, voltages=voltages, covariance=None)
         return ExactInverseLaw(plays, within, softening_v, run_anyway)
-
-    def statement(self) -> str:
-        """State whether there is an inverse, and how far the drive jumps at a reversal."""
-        return self.invertibility.statement()
-
-    def rest(self) -> ExactState:
-        """Memory of an actuator at its start."""
-        return self.plays.rest()
-
-    def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
-        drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))
-        return drive, state
 
     def solve(
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None

@@ -46,6 +46,11 @@ class Recovery(NamedTuple):
     b: Array
     gain: Array
 
+    @classmethod
+    def none(cls, outputs: int) -> Recovery:
+        """That of no block at all."""
+        return cls(np.zeros((0, 0)), np.zeros((0, outputs)), np.zeros((outputs, 0)))
+
 
 class Tables(NamedTuple):
     """What ``pieces`` works on: records of rows (input, row), and of each input (input,)."""
@@ -73,10 +78,23 @@ class StaticInverse(Law[S]):
 
     invertibility: Invertibility
     _design: Tables
+    _start: S
 
     def design_tables(self) -> Tables:
         """Tables of ``pieces`` as they are before a run."""
         return self._design.copy()
+
+    def statement(self) -> str:
+        """State whether there is an inverse, and how far the drive jumps at a reversal."""
+        return self.invertibility.statement()
+
+    def rest(self) -> S:
+        """Memory of an actuator at its start."""
+        return self._start
+
+    def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
+        drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))
+        return drive, state
 
     @abstractmethod
     def solve(
@@ -88,6 +106,39 @@ class StaticInverse(Law[S]):
             assumes; the last value returned is that difference afterwards
         recovery : how this difference is removed; needed if there is such a block
         """
+
+
+@dataclass(frozen=True, eq=False)
+class DriveState(Memory):
+    """Memory of the model, and the last voltages (m,) [V]."""
+
+    model: Any
+    drive_v: Array
+
+
+class ZonesInverse(StaticInverse[DriveState]):
+    """The exact inverse of a block whose pieces are others in each sample, for its memory moves them.
+
+    The walk finds them as zones beside one play of threshold and weight 0.
+    """
+
+    hysteresis: Hysteresis[Any]
+
+    def _begin(self, zones: int, largest_v: float, gain: Array) -> None:
+        """Fill the tables, and stand where the actuator does.
+
+        zones : room for those of an input; largest_v : size of the voltages; gain : (m, row) [um/V]
+        """
+        w, here = tables(self.n_inputs, zones)
+        here["low"], here["high"] = self.range.counted
+        here["still"] = STILL * (1.0 + largest_v)
+        here["fixed"] = -1
+        here["count"] = here["ramp"] = 1
+        here["gain"] = gain
+        w["end"][:, 0] = w["d"][:, 0] = 1
+        self._design, history = Tables(w, here), self.range.history()
+        self.origin_um, state = self.hysteresis.standing(history)
+        self._start = DriveState(state, history[:, -1].copy())
 
 
 class ExactInverseLaw(StaticInverse[ExactState]):
@@ -186,10 +237,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         here["gain"] = np.abs([bank.slope[k, n] for k, n in enumerate(bank.n)])
         return Tables(w, here)
 
-    def statement(self) -> str:
-        """State whether there is an inverse, and how far the drive jumps at a reversal."""
-        return self.invertibility.statement()
-
     def _at_start(self) -> tuple[ExactState, Array]:
         """Memory where the actuator stands, and the positions (p,) there [um].
 
@@ -212,14 +259,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self._design.here["y"][self.n_outputs :] = rows[self.n_outputs :, -1]
         return ExactState(stack, hand), rows[: self.n_outputs, -1].copy()
 
-    def rest(self) -> ExactState:
-        """Memory of an actuator at its start."""
-        return self._start
-
-    def _respond(self, reference_um: Array, start: ExactState) -> tuple[Array, ExactState]:
-        drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))
-        return drive, state
-
     def _step(self, sample_um: Array, state: ExactState) -> tuple[Array, ExactState] | None:
         drive, stack, hand, sound = self._compiled_step(
             sample_um, self._frame, *self._design, state.stack, state.hand
@@ -234,7 +273,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         from hammerstein.compiled import spans
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
-        back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
+        back = recovery or Recovery.none(p)
         left, (w, here) = away.copy(), loaded(*self._design, start.stack, start.hand)
         for first, end in spans(v_um.shape[1]):
             respond_exact(v_um, self.n_inputs - p, *back, left, w, here, first, end, drive)

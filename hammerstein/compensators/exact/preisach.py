@@ -2,36 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
-from hammerstein.compensators.exact.inverse import (
-    STILL,
-    Recovery,
-    StaticInverse,
-    Tables,
-    exact_inverse_of,
-    tables,
-)
-from hammerstein.hysteresis import Preisach, PreisachState
+from hammerstein.compensators.exact.inverse import DriveState, Recovery, ZonesInverse, exact_inverse_of
+from hammerstein.hysteresis import Preisach
 from hammerstein.hysteresis.invertibility import invertibility, require_inverse
 from hammerstein.model import HammersteinModel
 
 
-@dataclass(frozen=True, eq=False)
-class PreisachInverseState(Memory):
-    """Memory of the inverse: that of the model, and the last voltages (m,) [V]."""
-
-    model: PreisachState
-    drive_v: Array
-
-
-class PreisachInverseLaw(StaticInverse[PreisachInverseState]):
+class PreisachInverseLaw(ZonesInverse):
     """Solves ``Gamma(U) = Y_r`` in every sample along the branches that begin at the memory of each input.
 
     Parameters
@@ -48,6 +32,8 @@ class PreisachInverseLaw(StaticInverse[PreisachInverseState]):
     SimulationError : the slopes that the planes can have do not keep one sign
     """
 
+    hysteresis: Preisach
+
     def __init__(
         self,
         hysteresis: Preisach,
@@ -61,46 +47,20 @@ class PreisachInverseLaw(StaticInverse[PreisachInverseState]):
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         self.invertibility = replace(invertibility(hysteresis), inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
-        self._design = self._new_design()
-        history = self.range.history()
-        self.origin_um, state = self.hysteresis.standing(history)
-        self._start = PreisachInverseState(state, history[:, -1].copy())
-
-    def _new_design(self) -> Tables:
-        """Tables of ``pieces``: one play of threshold and weight 0, room for all pieces of a sample."""
         planes, turns = self.hysteresis.planes, self.hysteresis.rest().x.shape[1]
-        w, here = tables(self.n_inputs, most_pieces(int(planes.cells.max()), turns))
-        here["low"], here["high"] = self.range.counted
-        here["still"] = STILL * (1.0 + float(np.maximum(np.abs(planes.low), np.abs(planes.high)).max()))
-        here["fixed"] = -1
-        here["count"] = here["ramp"] = 1
-        here["gain"] = np.abs(planes.beyond.sum(axis=1))
-        w["end"][:, 0] = 1
-        return Tables(w, here)
-
-    def statement(self) -> str:
-        """Say whether there is an inverse."""
-        return self.invertibility.statement()
-
-    def rest(self) -> PreisachInverseState:
-        """Memory of an actuator at its start."""
-        return self._start
-
-    def _respond(
-        self, reference_um: Array, start: PreisachInverseState
-    ) -> tuple[Array, PreisachInverseState]:
-        drive, state, _ = self.solve(self._from_rest(reference_um), start, np.zeros(0))
-        return drive, state
+        largest_v = float(np.maximum(np.abs(planes.low), np.abs(planes.high)).max())
+        zones = most_pieces(int(planes.cells.max()), turns)
+        self._begin(zones, largest_v, np.abs(planes.beyond.sum(axis=1)))
 
     def solve(
-        self, v_um: Array, start: PreisachInverseState, away: Array, recovery: Recovery | None = None
-    ) -> tuple[Array, PreisachInverseState, Array]:
+        self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None
+    ) -> tuple[Array, DriveState, Array]:
         """Drive (m, N) for outputs (p, N) of the static block; see ``StaticInverse.solve``."""
         from hammerstein.compensators.exact.preisach_kernel import respond_exact_preisach
         from hammerstein.compiled import spans
 
-        p, drive, own = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.planes
-        back = recovery or Recovery(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((p, 0)))
+        drive, own = np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.planes
+        back = recovery or Recovery.none(self.n_outputs)
         (w, here), left, after = self.design_tables(), away.copy(), start.copy()
         planes = (own.rest, own.low, own.high, own.size, own.cells, own.node, own.beyond)
         memory = (after.model.count, after.model.x, after.model.tip, after.model.last, after.drive_v)
