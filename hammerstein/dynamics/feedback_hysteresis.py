@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
+from hammerstein.arrays import Array
 from hammerstein.dynamics.feedback_block import FeedbackBlock
 from hammerstein.dynamics.linear_block import CONTINUOUS
 from hammerstein.dynamics.products import InputProducts, ProductsFile
@@ -20,7 +21,55 @@ FAR_V = 1e6
 """Amplitude at which all of the hysteresis moves [V]."""
 
 
-class FeedbackHysteresisDynamics(Strict):
+class MatrixForm(Strict):
+    """A block by its matrices, in continuous time or on a sample grid, as a model file has it."""
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
+    input_delay_s: Delay = 0.0
+    allow_unstable: Literal[True] | None = Field(
+        default=None, description="true: accept a block whose outputs grow without bound"
+    )
+
+    def _shapes(self) -> dict[str, tuple[int, int]]:
+        """Rows and columns that each matrix must have."""
+        n, m, p = len(self.A), self.n_inputs, self.n_outputs
+        return {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+
+    @model_validator(mode="after")
+    def _shapes_fit(self) -> Self:
+        if not self.D or not self.D[0]:
+            raise ValueError("D must have at least one row and one column")
+        for name, (rows, columns) in self._shapes().items():
+            matrix = getattr(self, name)
+            if len(matrix) != rows or any(len(row) != columns for row in matrix):
+                raise ValueError(f"{name} must be {rows} x {columns}")
+        return self
+
+    def matrices(self) -> dict[str, Array]:
+        """Return each matrix by its name."""
+        return {name: np.reshape(getattr(self, name), shape) for name, shape in self._shapes().items()}
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.D)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.D[0])
+
+    def grid_words(self) -> str:
+        """Say whether it has a sample time of its own."""
+        step = self.sample_time_s
+        return "continuous" if step is None else f"with a sample time of {step:g} s"
+
+
+class FeedbackHysteresisDynamics(MatrixForm):
     """A linear block with hysteresis of any kind inside its loop, continuous or on a fixed sample time.
 
         x' = A x + B u + E w,    z = F x + G u,    w = Gamma(z) + products,    y = C x + D u
@@ -31,33 +80,21 @@ class FeedbackHysteresisDynamics(Strict):
     """
 
     kind: Literal["feedback_hysteresis"] = "feedback_hysteresis"
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
     E: Matrix
     F: Matrix
     G: Matrix
     hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="inside the loop")]
     products: ProductsFile | None = Field(default=None, description="of the products of hysteresis inputs")
-    sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
-    input_delay_s: Delay = 0.0
-    allow_unstable: Literal[True] | None = Field(
-        default=None, description="true: accept a block whose outputs grow without bound"
-    )
+
+    def _shapes(self) -> dict[str, tuple[int, int]]:
+        gamma, n = self.hysteresis.hysteresis(), len(self.A)
+        h, q = gamma.n_inputs, gamma.n_outputs
+        return super()._shapes() | {"E": (n, q), "F": (h, n), "G": (h, self.n_inputs)}
 
     @model_validator(mode="after")
-    def _shapes_fit(self) -> Self:
+    def _products_fit(self) -> Self:
         gamma = self.hysteresis.hysteresis()
-        n, p, m = len(self.A), len(self.D), len(self.D[0]) if self.D else 0
         h, q = gamma.n_inputs, gamma.n_outputs
-        if p == 0 or m == 0:
-            raise ValueError("D must have at least one row and one column")
-        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "E": (n, q), "F": (h, n), "G": (h, m), "D": (p, m)}
-        for name, (rows, columns) in shapes.items():
-            matrix = getattr(self, name)
-            if len(matrix) != rows or any(len(row) != columns for row in matrix):
-                raise ValueError(f"{name} must be {rows} x {columns}")
         if self.products and any(len(term.weights) != q for term in self.products.terms):
             raise ValueError(f"every product must have {q} weights, one for each output of the hysteresis")
         if self.products and len(self.products.limits) != h:
@@ -78,37 +115,21 @@ class FeedbackHysteresisDynamics(Strict):
         curved = ProductsFile.of(products) if products else None
         return cls(**rows, hysteresis=hysteresis.file(), sample_time_s=sample_time_s, products=curved)
 
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs."""
-        return len(self.D)
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of inputs."""
-        return len(self.D[0])
-
     def describe(self) -> str:
         """Short description."""
-        grid = (
-            "continuous"
-            if self.sample_time_s is None
-            else (f"with a sample time of {self.sample_time_s:g} s")
-        )
-        return f"state space of order {len(self.A)} with {self.hysteresis.kind} in its loop, {grid}"
+        inside = f"with {self.hysteresis.kind} in its loop"
+        return f"state space of order {len(self.A)} {inside}, {self.grid_words()}"
 
     def block(self) -> FeedbackBlock:
         """Return its matrices, in continuous time or on its own sample time."""
         gamma = self.hysteresis.hysteresis()
-        n, p, m = len(self.A), len(self.D), len(self.D[0])
-        h, q = gamma.n_inputs, gamma.n_outputs
-        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m), "E": (n, q), "F": (h, n), "G": (h, m)}
-        matrices = {name: np.reshape(getattr(self, name), shape) for name, shape in shapes.items()}
         return FeedbackBlock(
-            **matrices,
+            **self.matrices(),
             hysteresis=gamma,
             sample_time_s=self.sample_time_s or CONTINUOUS,
-            products=self.products.products() if self.products else InputProducts.none(h, q),
+            products=self.products.products()
+            if self.products
+            else InputProducts.none(gamma.n_inputs, gamma.n_outputs),
         )
 
     def instability(self) -> str:

@@ -17,10 +17,10 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 from hammerstein.arrays import Array
 from hammerstein.dynamics.electromechanical import ElectromechanicalDynamics
 from hammerstein.dynamics.feedback_block import FeedbackBlock
-from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
+from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics, MatrixForm
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
 from hammerstein.errors import InputError
-from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Entry, Resonance, SampleTime, TimeConstant
+from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Resonance, TimeConstant
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
@@ -193,31 +193,10 @@ class StaticDynamics(Strict):
         return unit_gain(self.n_outputs)
 
 
-class StateSpaceDynamics(Strict):
+class StateSpaceDynamics(MatrixForm):
     """Linear block x' = A x + B v, y = C x + D v, continuous or with a fixed sample time."""
 
     kind: Literal["state_space"] = "state_space"
-    A: tuple[tuple[Entry, ...], ...]
-    B: tuple[tuple[Entry, ...], ...]
-    C: tuple[tuple[Entry, ...], ...]
-    D: tuple[tuple[Entry, ...], ...]
-    sample_time_s: SampleTime | None = Field(default=None, description="absent: continuous time")
-    input_delay_s: Delay = 0.0
-    allow_unstable: Literal[True] | None = Field(
-        default=None, description="true: accept a block whose outputs grow without bound"
-    )
-
-    @model_validator(mode="after")
-    def _shapes_fit(self) -> Self:
-        n, m, p = len(self.A), len(self.D[0]) if self.D else 0, len(self.D)
-        shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
-        for name, (rows, columns) in shapes.items():
-            matrix = getattr(self, name)
-            if len(matrix) != rows or any(len(row) != columns for row in matrix):
-                raise ValueError(f"{name} must be {rows} x {columns}")
-        if p == 0 or m == 0:
-            raise ValueError("D must have at least one row and one column")
-        return self
 
     def instability(self) -> str:
         """Message about a pole on or beyond the stability limit, with its remedy; empty if there is none."""
@@ -237,12 +216,7 @@ class StateSpaceDynamics(Strict):
 
     def describe(self) -> str:
         """Short description."""
-        kind = (
-            "continuous"
-            if self.sample_time_s is None
-            else (f"with a sample time of {self.sample_time_s:g} s")
-        )
-        return f"state space of order {len(self.A)}, {kind}"
+        return f"state space of order {len(self.A)}, {self.grid_words()}"
 
     @classmethod
     def of(
@@ -270,21 +244,13 @@ class StateSpaceDynamics(Strict):
         allowed: Literal[True] | None = True if allow_unstable else None
         return cls(**rows, sample_time_s=sample_time_s, input_delay_s=input_delay_s, allow_unstable=allowed)
 
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs."""
-        return len(self.D)
-
     def system(self) -> control.StateSpace:
         """Return the block as a ``control.StateSpace``."""
         return self.block().system()
 
     def block(self) -> LinearBlock:
         """Return its matrices, in continuous time or on its own sample time."""
-        n, m, p = len(self.A), len(self.D[0]), len(self.D)
-        a, b = np.reshape(self.A, (n, n)), np.reshape(self.B, (n, m))
-        c, d = np.reshape(self.C, (p, n)), np.reshape(self.D, (p, m))
-        return LinearBlock(a, b, c, d, self.sample_time_s or CONTINUOUS)
+        return LinearBlock(**self.matrices(), sample_time_s=self.sample_time_s or CONTINUOUS)
 
 
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
