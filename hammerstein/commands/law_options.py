@@ -20,7 +20,6 @@ class LawWords:
     preview_s: Annotated[
         float | None, typer.Option("--preview-s", metavar="S", help="How far ahead the path is known.")
     ] = None
-    preview: Annotated[float | None, typer.Option("--preview", hidden=True)] = None  # as it was called before
     softening_v: Annotated[float | None, typer.Option(help="Voltage over which drive jumps are spread.")] = (
         None
     )
@@ -40,10 +39,9 @@ class LawWords:
         if self.gain not in (None, "auto", "identity"):
             what = f"must be auto or identity, not {self.gain!r}; put a matrix into a scenario"
             raise InputError("--gain", what)
-        ahead = self.preview if self.preview_s is None else self.preview_s
         asked = {
             "filter_hz": self.filter_hz,
-            "preview_s": ahead,
+            "preview_s": self.preview_s,
             "softening_v": self.softening_v,
             "gain": self.gain,
         }

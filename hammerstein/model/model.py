@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
+from pydantic import ConfigDict, Field, JsonValue, ValidationError
 
 from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks.axis_names import unique, word
@@ -22,11 +22,10 @@ from hammerstein.blocks.law import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import (
     Dynamics,
-    FeedbackHysteresisDynamics,
-    StateSpaceDynamics,
     StaticDynamics,
     WithLoop,
 )
+from hammerstein.dynamics.feedback_hysteresis import MatrixForm
 from hammerstein.errors import InputError, Mistake
 from hammerstein.files import digest_of, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Normals
@@ -41,10 +40,7 @@ if TYPE_CHECKING:
     from hammerstein.compensators.drive_file import Compensation, LawLike
     from hammerstein.model.simulation import Plant, Response, Wire
 
-FORMAT = "hammerstein-model/2"
-OLD_FORMAT = "hammerstein-model/1"
 NUMBERS = re.compile(r"\[\s+([-+0-9.eE,\s]+?)\s+\]")
-MATRICES = StateSpaceDynamics, FeedbackHysteresisDynamics
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +97,8 @@ class HammersteinModel(ByValue, NotebookRepr):
             mistakes.append(Mistake("inputs", f"names {len(self.inputs)} inputs of {m}"))
         if len(self.outputs) != p:
             mistakes.append(Mistake("outputs", f"names {len(self.outputs)} outputs of {p}"))
-        if self.dynamics.n_outputs != p or self._dynamics_inputs() != p:
+        free = self.dynamics if isinstance(self.dynamics, MatrixForm) else None
+        if self.dynamics.n_outputs != p or (free and free.n_inputs != p):
             mistakes.append(
                 Mistake("dynamics", f"must have {p} inputs and {p} outputs, as the hysteresis has")
             )
@@ -109,7 +106,6 @@ class HammersteinModel(ByValue, NotebookRepr):
             mistakes += [Mistake(key, why) for name in names if (why := no_name(name))]
             if len(set(names)) < len(names):
                 mistakes.append(Mistake(key, "name two axes alike; every name must be different"))
-        free = self.dynamics if isinstance(self.dynamics, MATRICES) else None
         if self.covariance and (misfit := self.covariance.misfit(self.hysteresis, self.dynamics)):
             mistakes.append(Mistake("covariance", misfit))
         if free and (unstable := free.instability()):
@@ -131,12 +127,6 @@ class HammersteinModel(ByValue, NotebookRepr):
         """
         files = self.provenance.get("records") if isinstance(self.provenance, dict) else None
         return f"{self.name}, from {', '.join(map(str, files))}" if isinstance(files, list) else self.name
-
-    def _dynamics_inputs(self) -> int:
-        dynamics = self.dynamics
-        if isinstance(dynamics, MATRICES):
-            return len(dynamics.D[0])
-        return dynamics.n_outputs
 
     def static(self) -> HammersteinModel:
         """Return the same static block without its dynamics."""
@@ -365,17 +355,6 @@ class ModelFile(Strict):
     verdict: Verdict | None = None
     covariance: ParameterCovarianceFile | None = None
     provenance: Plain = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_the_first_format(cls, data: Any) -> Any:
-        """A file of the first format: the pairs stood at the top, and it knew no voltages."""
-        if not isinstance(data, dict) or data.get("format") != OLD_FORMAT:
-            return data
-        content = {key: value for key, value in data.items() if key != "pairs"}
-        if "pairs" in data:
-            content["hysteresis"] = {"kind": "prandtl_ishlinskii", "pairs": data["pairs"]}
-        return content | {"format": FORMAT}
 
     def model(self) -> HammersteinModel:
         """Return the model this describes."""

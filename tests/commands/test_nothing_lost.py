@@ -357,7 +357,7 @@ WRITERS = [
     pytest.param(
         ("play", "duo_bimorph_static", "volts.csv"), "--out", "time_s,played_x_v\n# each by hand\n", id="play"
     ),
-    pytest.param(("identify", "r.csv", *RECORD), "--out", '{"format": "hammerstein-model/1"}', id="identify"),
+    pytest.param(("identify", "r.csv", *RECORD), "--out", '{"format": "hammerstein-model/2"}', id="identify"),
     pytest.param(("sweep", "study.toml"), "--out", "sample,voltage,position\n1,2,3\n", id="sweep"),
     pytest.param(("check", "small.toml"), "--junit", '<a name="hammerstein check"/>', id="junit"),
     pytest.param(

@@ -379,14 +379,13 @@ def test_a_refused_option_is_named(tmp_path, capsys, options, said):
     assert said in capsys.readouterr().err
 
 
-def test_the_preview_has_one_name_and_hears_to_its_old_one(tmp_path, capsys, monkeypatch):
+def test_the_preview_has_one_name(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("hammerstein.export.folder.compiler", lambda: None)  # no search for the dearest step
     given = ("export", "duo_bimorph", "--law", "hammerstein_inverse", "--out", str(tmp_path / "out"))
     assert _call(*given) == 0
     assert "the reference of sample k" in capsys.readouterr().out
-    for name in ("--preview-s", "--preview"):
-        assert _call(*given, name, "0.0") == 0
-        assert "the reference of sample k" not in capsys.readouterr().out
+    assert _call(*given, "--preview-s", "0.0") == 0
+    assert "the reference of sample k" not in capsys.readouterr().out
     for command in ("export", "compensate"):
         assert _call(command, "--help") == 0
         said = capsys.readouterr().out
