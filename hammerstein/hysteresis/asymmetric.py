@@ -25,7 +25,7 @@ from hammerstein.hysteresis.pair import (
     refuse_other_sizes,
     weighted_mistakes,
 )
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, described
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
 
@@ -425,13 +425,10 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 class DeadZonesFile(PartFile):
     """Dead-zones of one pair in a model file."""
 
+    describes: ClassVar = DeadZones
     breakpoints_v: tuple[Offset, ...] = Field(description="absolute voltages")
     weights_um_per_v: tuple[Weight, ...]
     weight_errors_um_per_v: tuple[WeightError, ...] | None = None
-
-    def value(self) -> DeadZones:
-        """Return the dead-zones this describes."""
-        return DeadZones(**self.model_dump())
 
 
 class AsymmetricFile(HysteresisFile):
@@ -445,6 +442,5 @@ class AsymmetricFile(HysteresisFile):
 
     def hysteresis(self) -> Asymmetric:
         """Return the hysteresis this describes."""
-        plays = PrandtlIshlinskii(tuple(tuple(pair.value() for pair in row) for row in self.pairs))
-        zones = tuple(tuple(zone.value() for zone in row) for row in self.dead_zones)
-        return Asymmetric(plays, zones, weight_covariance=covariances(self.weight_covariance))
+        plays, known = PrandtlIshlinskii(described(self.pairs)), described(self.weight_covariance)
+        return Asymmetric(plays, described(self.dead_zones), weight_covariance=known)

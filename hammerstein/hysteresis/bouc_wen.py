@@ -19,7 +19,7 @@ from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance, refuse_other_sizes
-from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
+from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, described
 from hammerstein.quantities import PerVolt, Weight
 
 FIRST_RATES, FIRST_SHARES = (0.5, 2.0, 8.0), (0.35, 1.0, 2.5)
@@ -349,16 +349,13 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
 class BoucWenPairFile(PartFile):
     """One pair in a model file."""
 
+    describes: ClassVar = BoucWenPair
     direct_um_per_v: Weight = Field(description="slope at the limit of the hysteretic part")
     hysteretic_um_per_v: Weight = Field(default=0.0, description="gain of the hysteretic part")
     beta_per_v: PerVolt = Field(default=0.0, description="rate at which it forgets; 0 or more")
     gamma_per_v: PerVolt = Field(
         default=0.0, description="difference of this rate between growing and falling z"
     )
-
-    def value(self) -> BoucWenPair:
-        """Return the pair this describes."""
-        return BoucWenPair(**self.model_dump())
 
 
 class BoucWenFile(HysteresisFile):
@@ -371,5 +368,4 @@ class BoucWenFile(HysteresisFile):
 
     def hysteresis(self) -> BoucWen:
         """Return the hysteresis this describes."""
-        pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
-        return BoucWen(pairs, covariances(self.weight_covariance))
+        return BoucWen(described(self.pairs), described(self.weight_covariance))

@@ -18,7 +18,7 @@ from hammerstein.hysteresis.describing_function import first_harmonic, nonlinear
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, covariances
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, described
 from hammerstein.hysteresis.prandtl_ishlinskii import LEAST_ENGAGED, PrandtlIshlinskii
 from hammerstein.quantities import Offset, PerVolt
 
@@ -443,6 +443,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
 class EnvelopeFile(PartFile):
     """An envelope in a model file."""
 
+    describes: ClassVar = Envelope
     voltages_v: tuple[Offset, ...] = Field(description="of the points, as absolute voltages")
     values_v: tuple[Offset, ...] = Field(description="at these points; linear between them")
     saturating_v: Annotated[float, Field(ge=0.0, le=1e6)] = Field(
@@ -450,10 +451,6 @@ class EnvelopeFile(PartFile):
     )
     steepness_per_v: PerVolt = Field(default=0.0, description="b")
     centre_v: Offset = Field(default=0.0, description="c, as an absolute voltage")
-
-    def value(self) -> Envelope:
-        """Return the envelope this describes."""
-        return Envelope(**self.model_dump())
 
 
 class GeneralisedFile(HysteresisFile):
@@ -467,6 +464,5 @@ class GeneralisedFile(HysteresisFile):
 
     def hysteresis(self) -> Generalised:
         """Return the hysteresis this describes."""
-        plays = PrandtlIshlinskii(tuple(tuple(pair.value() for pair in row) for row in self.pairs))
-        envelopes = tuple(one.value() for one in self.envelopes)
-        return Generalised(envelopes, plays, weight_covariance=covariances(self.weight_covariance))
+        plays, known = PrandtlIshlinskii(described(self.pairs)), described(self.weight_covariance)
+        return Generalised(described(self.envelopes), plays, weight_covariance=known)

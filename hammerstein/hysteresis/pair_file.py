@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from typing import Annotated, Any, Self
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
@@ -17,14 +16,17 @@ from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError
 from hammerstein.validation import Strict
 
 
-class PartFile(Strict, ABC):
+class PartFile(Strict):
     """A part of a hysteresis in a model file; also made of the part itself, whose names it has."""
 
     model_config = ConfigDict(from_attributes=True)
 
-    @abstractmethod
-    def value(self) -> object:
+    describes: ClassVar[Callable[..., Any]]
+    """What makes the part of its own fields, by their names."""
+
+    def value(self) -> Any:
         """Return the part this describes; InputError where it is none."""
+        return self.describes(**self.model_dump())
 
     @model_validator(mode="after")
     def _is_a_part(self) -> Self:
@@ -35,13 +37,10 @@ class PartFile(Strict, ABC):
 class PairFile(PartFile):
     """One pair in a model file."""
 
+    describes: ClassVar = Pair
     thresholds_v: tuple[Threshold, ...]
     weights_um_per_v: tuple[Weight, ...]
     weight_errors_um_per_v: tuple[WeightError, ...] | None = None
-
-    def value(self) -> Pair:
-        """Return the pair this describes."""
-        return Pair(**self.model_dump())
 
 
 def lower_rows(factor: Any) -> Any:
@@ -66,9 +65,11 @@ class CovarianceFile(PartFile):
         )
 
 
-def covariances(files: Iterable[CovarianceFile] | None) -> tuple[WeightCovariance, ...] | None:
-    """Covariances of the weights of each output, where a file has them."""
-    return None if files is None else tuple(one.value() for one in files)
+def described(files: Any) -> Any:
+    """What files of parts describe, in the same rows; None where there are none."""
+    if files is None:
+        return None
+    return files.value() if isinstance(files, PartFile) else tuple(map(described, files))
 
 
 def lower_triangle(where: str, rows: tuple[tuple[float, ...], ...]) -> Array:

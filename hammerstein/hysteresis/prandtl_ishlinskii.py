@@ -18,7 +18,7 @@ from hammerstein.hysteresis.describing_function import describing_function, nonl
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played, refuse_other_sizes
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, covariances
+from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, described
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
@@ -320,5 +320,4 @@ class PrandtlIshlinskiiFile(HysteresisFile):
 
     def hysteresis(self) -> PrandtlIshlinskii:
         """Return the hysteresis this describes."""
-        pairs = tuple(tuple(pair.value() for pair in row) for row in self.pairs)
-        return PrandtlIshlinskii(pairs, covariances(self.weight_covariance))
+        return PrandtlIshlinskii(described(self.pairs), described(self.weight_covariance))

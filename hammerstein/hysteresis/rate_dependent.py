@@ -19,7 +19,7 @@ from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import WeightCovariance, played
-from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, covariances
+from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, described
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)
@@ -218,10 +218,8 @@ class RateDependent(Hysteresis[RateState], Identifiable):
     def loop_gain(self) -> Array:
         """How far the inverse of a square model is from ringing up, by input (m,): stable below 1.
 
-        See ``rate_loop.stability_gain``.
+        See ``stability_gain``.
         """
-        from hammerstein.hysteresis.rate_dependent import stability_gain
-
         return stability_gain(self.bank.w, self.bank.b, self.poles, self.grid_s)
 
     def rest(self) -> RateState:
@@ -379,16 +377,13 @@ def _grown_alike(thresholds_v: Array, growth_s: float, bandwidth_hz: float) -> R
 class RatePlaysFile(PartFile):
     """Plays of one input in a model file."""
 
+    describes: ClassVar = RatePlays
     thresholds_v: tuple[Threshold, ...]
     growth_s: tuple[Delay, ...] = Field(description="growth of a threshold in V for each V/s")
     bandwidth_hz: Bandwidth = 500.0
     lambda_s_per_v: Delay = Field(
         default=0.0, description="rate constant at which the growth flattens; 0: linear growth"
     )
-
-    def value(self) -> RatePlays:
-        """Return the plays this describes."""
-        return RatePlays(**self.model_dump())
 
 
 class RateDependentFile(HysteresisFile):
@@ -403,9 +398,9 @@ class RateDependentFile(HysteresisFile):
     def hysteresis(self) -> RateDependent:
         """Return the hysteresis this describes."""
         return RateDependent(
-            tuple(plays.value() for plays in self.inputs),
+            described(self.inputs),
             tuple(tuple(np.asarray(w, dtype=float) for w in row) for row in self.weights_um_per_v),
-            weight_covariance=covariances(self.weight_covariance),
+            weight_covariance=described(self.weight_covariance),
         )
 
 
