@@ -113,8 +113,7 @@ def _signal(case: Case) -> list[Any]:
 def _packed(result: Result) -> Kept:
     trace = result.trace
     response = trace.response
-    wires = {name: getattr(response, name) for name in (*WIRES, "saturated")}
-    arrays = {name: wire for name, wire in wires.items() if wire is not None}
+    arrays = response.wires()
     for number, prediction in enumerate(trace.predictions):
         arrays[f"reading_{number}"] = prediction.reading_um
         arrays[f"position_{number}"] = prediction.position_um

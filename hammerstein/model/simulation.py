@@ -133,9 +133,13 @@ class Response(NotebookRepr):
 
     def after(self, first: int) -> Response:
         """Return the same run from one sample on."""
-        wires: dict[str, Any] = {name: getattr(self, name) for name in (*WIRES, "saturated")}
-        cut = {name: wire[:, first:] for name, wire in wires.items() if wire is not None}
+        cut: dict[str, Any] = {name: wire[:, first:] for name, wire in self.wires().items()}
         return replace(self, known=True, **cut)
+
+    def wires(self) -> dict[str, NDArray[Any]]:
+        """Every signal that this run has, by name, and where the range cut the voltage."""
+        each = ((name, getattr(self, name)) for name in (*WIRES, "saturated"))
+        return {name: wire for name, wire in each if wire is not None}
 
     def columns(self) -> dict[str, Array]:
         """All signals of every axis (sample,), by names such as ``drive_x_v``; without time."""
@@ -190,10 +194,7 @@ class Response(NotebookRepr):
         if samples == 1:
             return self
         starts = np.arange(0, self.drive_v.shape[1], samples)
-        wires = {name: getattr(self, name) for name in WIRES}
-        kept: dict[str, Any] = {
-            name: wire[:, ::samples].copy() for name, wire in wires.items() if wire is not None
-        }
+        kept: dict[str, Any] = {name: wire[:, ::samples].copy() for name, wire in self.wires().items()}
         kept["saturated"] = np.logical_or.reduceat(self.saturated, starts, axis=1)
         return replace(self, sample_time_s=samples * self.sample_time_s, known=True, **kept)
 
@@ -203,8 +204,8 @@ class Response(NotebookRepr):
         first = parts[0]
         if len(parts) == 1:
             return first
-        there = [name for name in (*WIRES, "saturated") if getattr(first, name) is not None]
-        whole: dict[str, Any] = {n: np.concatenate([getattr(p, n) for p in parts], axis=1) for n in there}
+        each = [part.wires() for part in parts]
+        whole: dict[str, Any] = {n: np.concatenate([one[n] for one in each], axis=1) for n in each[0]}
         return replace(first, known=True, **whole)
 
 

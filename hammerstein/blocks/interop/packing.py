@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,16 +11,6 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 
 LIMBS, BITS = 4, 32  # a lone whole number, such as the state of a random generator, has up to 128 bits
-
-
-@dataclass(frozen=True)
-class Leaf:
-    """One value of some plain data: its keys, how it becomes numbers, and how numbers become it."""
-
-    keys: tuple[str | int, ...]
-    length: int
-    numbers: Callable[[Any], Array]
-    value: Callable[[Array], Any]
 
 
 class Packing:
@@ -46,8 +35,9 @@ class Packing:
     """
 
     def __init__(self, like: dict[str, Any]):
-        self._leaves = tuple(_leaves(like, ()))
-        self._origin = np.concatenate([np.zeros(0), *(f.numbers(_at(like, f.keys)) for f in self._leaves)])
+        pieces = list(_numbers(like))
+        self._sizes = [piece.size for piece in pieces]
+        self._like, self._origin = _filled(like, iter(pieces)), np.concatenate([np.zeros(0), *pieces])
 
     @property
     def length(self) -> int:
@@ -56,56 +46,51 @@ class Packing:
 
     def pack(self, data: dict[str, Any]) -> Array:
         """Vector (length,) of some data."""
-        pieces = [leaf.numbers(_at(data, leaf.keys)) for leaf in self._leaves]
-        if any(len(p) != leaf.length for p, leaf in zip(pieces, self._leaves, strict=True)):
+        pieces = list(_numbers(data))
+        if [piece.size for piece in pieces] != self._sizes:
             raise InputError("state", "does not belong to this block: the number of values differs")
         return np.asarray(np.concatenate([np.zeros(0), *pieces]) - self._origin)
 
     def unpack(self, vector: Array) -> dict[str, Any]:
         """Data of a vector (length,); arrays stand for lists."""
-        values, data, first = vector + self._origin, dict[Any, Any](), 0
-        for leaf in self._leaves:
-            inner = data
-            for key in leaf.keys[:-1]:
-                inner = inner.setdefault(key, {})
-            inner[leaf.keys[-1]] = leaf.value(values[first : first + leaf.length])
-            first += leaf.length
-        return {key: _with_lists(value) for key, value in data.items()}
+        pieces = np.split(vector + self._origin, np.cumsum(self._sizes))
+        found: dict[str, Any] = _filled(self._like, iter(pieces))
+        return found
 
 
-def _with_lists(data: Any) -> Any:
-    """The same with lists in place of dictionaries whose keys are numbers."""
-    if not isinstance(data, dict):
-        return data
-    inner = {key: _with_lists(value) for key, value in data.items()}
-    return list(inner.values()) if 0 in inner else inner
+def _parts(data: Any) -> Sequence[Any] | None:
+    """What stands in a dictionary, or in a list of them; None of anything else."""
+    if isinstance(data, dict):
+        return list(data.values())
+    several = isinstance(data, list | tuple) and any(isinstance(part, dict) for part in data)
+    return data if several else None
 
 
-def _at(data: Any, keys: tuple[str | int, ...]) -> Any:
-    for key in keys:
-        data = data[key]
-    return data
-
-
-def _leaves(data: Any, keys: tuple[str | int, ...]) -> Iterator[Leaf]:
-    parts = isinstance(data, list | tuple) and any(isinstance(part, dict) for part in data)
-    nothing = isinstance(data, dict) and not data  # what a block without memory remembers
-    if isinstance(data, str) or (keys and nothing):
-        yield Leaf(keys, 0, lambda _: np.zeros(0), lambda _: data)
-    elif parts or isinstance(data, dict):
-        for key, value in enumerate(data) if parts else data.items():
-            yield from _leaves(value, (*keys, key))
+def _numbers(data: Any) -> Iterator[Array]:
+    """Numbers of each value in some data, one after the other; words have none."""
+    parts = _parts(data)
+    if parts is not None:
+        for part in parts:
+            yield from _numbers(part)
     elif isinstance(data, int):
-        yield Leaf(keys, LIMBS, _limbs, _whole)
-    else:
-        array = np.asarray(data)
-        whole, shape = np.issubdtype(array.dtype, np.integer), array.shape
+        yield _limbs(data)
+    elif not isinstance(data, str):
+        yield np.asarray(data, dtype=np.float64).ravel()
 
-        def value(numbers: Array) -> Any:
-            shaped = numbers.reshape(shape)
-            return np.rint(shaped).astype(np.int64) if whole else shaped
 
-        yield Leaf(keys, array.size, lambda given: np.asarray(given, dtype=np.float64).ravel(), value)
+def _filled(like: Any, pieces: Iterator[Array]) -> Any:
+    """Data of the shape of some other, with these numbers in it."""
+    parts = _parts(like)
+    if parts is not None:
+        filled = [_filled(part, pieces) for part in parts]
+        return dict(zip(like, filled, strict=True)) if isinstance(like, dict) else filled
+    if isinstance(like, str):
+        return like
+    numbers, array = next(pieces), np.asarray(like)
+    if isinstance(like, int):
+        return _whole(numbers)
+    shaped = numbers.reshape(array.shape)
+    return np.rint(shaped).astype(np.int64) if np.issubdtype(array.dtype, np.integer) else shaped
 
 
 def _limbs(whole: int) -> Array:
