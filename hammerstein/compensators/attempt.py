@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
+from hammerstein.blocks.instruments import Drive
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.reach import Shortfall, shortfall
 from hammerstein.errors import InputError
@@ -45,8 +46,7 @@ class Attempt:
         lead: int = 0,
     ) -> Attempt:
         """Design the law, and drive the model with it."""
-        ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
-        drive = model.instruments.drive.model_copy(update={"range_v": ends})
+        drive = drive_within(model, limits)
         law = sensorless_law(compensator, {}, model, limits, drive.sample_time_s)
         asked = law.drive_for(reference_um)
         sent, _ = drive.apply(asked)
@@ -62,6 +62,12 @@ class Attempt:
     def path_rms_um(self) -> Array:
         """Rms error of each output (p,) there [um]."""
         return np.sqrt(np.mean(self.predicted.error_um[:, self.lead :] ** 2, axis=1))
+
+
+def drive_within(model: HammersteinModel, limits: DriveRange) -> Drive:
+    """Converter and amplifier of a model with another range."""
+    ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
+    return model.instruments.drive.model_copy(update={"range_v": ends})
 
 
 def sensorless_law(

@@ -13,7 +13,7 @@ import numpy as np
 from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.attempt import sensorless_law
+from hammerstein.compensators.attempt import drive_within, sensorless_law
 from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import (
     Terms,
@@ -27,6 +27,7 @@ from hammerstein.dynamics import linearised, on_grid
 from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
+from hammerstein.signals import smooth_step
 
 TRIED_PERIODS = (4, 8, 16, 32)  # periods after which a drive may have settled
 SHORTEST_TRY_S = 0.1
@@ -145,8 +146,7 @@ def run_up(drive_v: Array, start_v: Array, sample_time_s: float) -> Array:
     """
     samples = drive_v.shape[1]
     growing = math.ceil(RUN_UP_S / (samples * sample_time_s))
-    x = np.arange(growing * samples) / (growing * samples)
-    share = x**3 * (10.0 + x * (6.0 * x - 15.0))
+    share = smooth_step(np.arange(growing * samples) / (growing * samples))
     grown = start_v[:, None] + share * (np.tile(drive_v, (1, growing)) - start_v[:, None])
     return np.concatenate([grown, drive_v], axis=1)
 
@@ -175,14 +175,12 @@ class Design:
                 f"{asked_v.shape[1]} samples of a settled period, with {limits.words(model.inputs)} "
                 "(--range). Make it smaller or slower, or accept it with --clip."
             )
-        ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
-        sent, _ = model.instruments.drive.model_copy(update={"range_v": ends}).apply(asked_v)
+        converter, time_s = drive_within(model, limits), model.instruments.drive.sample_time_s
+        sent, _ = converter.apply(asked_v)
         if not terms.beyond_records:
             refuse_beyond(model, sent)
-        time_s = model.instruments.drive.sample_time_s
         play = player(model, limits, time_s)
         position, closure = settled_position(play, sent, limits.start_v, time_s)
-        converter = model.instruments.drive.model_copy(update={"range_v": ends})
         way, _ = converter.apply(run_up(sent, limits.start_v, time_s))
         first = play(np.concatenate([way, sent], axis=1))[:, way.shape[1] :]
         said = self.law.statement()

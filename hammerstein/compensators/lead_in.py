@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.signals import smooth_step
 
 SHORTEST_S, LONGEST_S = 0.02, 1.0
 """A stage rings for less than the first; nobody waits for more than the second."""
@@ -41,9 +42,8 @@ def lead_in(reference_um: Array, sample_time_s: float) -> Array:
     asked = max(math.sqrt(PEAK * distance / bend), TURNED * speed / bend) if bend > 0.0 else LONGEST_S
     samples = math.ceil(min(max(asked, SHORTEST_S), LONGEST_S) / sample_time_s)
     x = np.arange(samples) / samples
-    step = x**3 * (10.0 + x * (6.0 * x - 15.0))
     turn = x**3 * (-4.0 + x * (7.0 - 3.0 * x))
-    return np.asarray(start[:, None] * step + velocity[:, None] * (samples * sample_time_s) * turn)
+    return np.asarray(start[:, None] * smooth_step(x) + velocity[:, None] * (samples * sample_time_s) * turn)
 
 
 def _moves(reference_um: Array) -> bool:
