@@ -222,7 +222,9 @@ def _declared(path: Path, name: str) -> tuple[tuple[int, ...], int]:
 def _matlab(path: Path) -> Variables:
     with path.open("rb") as file:
         begin = file.read(HEADER_BYTES + len(HDF5))
-    return _matlab_hdf5(path) if HDF5 in (begin[: len(HDF5)], begin[HEADER_BYTES:]) else _matlab_old(path)
+    return (
+        _hdf5(path, matlab=True) if HDF5 in (begin[: len(HDF5)], begin[HEADER_BYTES:]) else _matlab_old(path)
+    )
 
 
 def _matlab_old(path: Path) -> Variables:
@@ -274,36 +276,42 @@ def _numbered(items: Any) -> list[tuple[str, Any]]:
     return [(f".{k}" if flat.size > 1 else "", item) for k, item in enumerate(flat, start=1)]
 
 
-def _matlab_hdf5(path: Path) -> Variables:
-    """Version 7.3: HDF5, with the axes of every array in reverse order."""
+def _hdf5(path: Path, matlab: bool = False) -> Variables:
+    """Numeric arrays of an HDF5 file by their path in it, with dots.
+
+    matlab : whether it is one of MATLAB 7.3, with the axes of every array in reverse order; then text, empty
+        arrays and what its objects refer to are left out, and cells and arrays of structures are looked into
+    """
     import h5py
 
-    places: dict[str, str] = {}
+    places: dict[str, tuple[str, str]] = {}
     seen: set[int] = set()
 
     def note(name: str, item: Any) -> None:
         if _refused(item, seen):
             return
-        kind = item.attrs.get("MATLAB_class", b"double")
+        kind = item.attrs.get("MATLAB_class", b"double") if matlab else None
         if isinstance(item, h5py.Group):
-            for member, inside in _members(item):
+            for member, inside in _members(item) if matlab else _inside(item):
                 note(f"{name}.{member}", inside)
         elif item.dtype == h5py.ref_dtype and kind == b"cell":
             for number, inside in _referred(item):
                 note(f"{name}.{number}", inside)
-        elif item.dtype.kind in "biuf" and kind != b"char" and "MATLAB_empty" not in item.attrs:
-            places[name] = item.name
+        elif item.dtype.kind in "biuf" and kind != b"char" and not (matlab and "MATLAB_empty" in item.attrs):
+            places[name] = item.name, stated_unit(item.attrs)
 
     def load(place: str) -> Any:
         with h5py.File(path, "r") as file:
             refuse_large(file[place].shape)
-            return file[place][()].T
+            array = file[place][()]
+            return array.T if matlab else array
 
     with h5py.File(path, "r") as file:
+        _refused(file, seen)
         for name, item in _inside(file):
-            if not name.startswith("#"):
+            if not (matlab and name.startswith("#")):
                 note(name, item)
-    return {name: Variable(partial(load, place)) for name, place in places.items()}
+    return {name: Variable(partial(load, place), unit) for name, (place, unit) in places.items()}
 
 
 def _refused(item: Any, seen: set[int]) -> bool:
@@ -352,37 +360,11 @@ def _members(group: Any) -> Iterator[tuple[str, Any]]:
             yield field, item
 
 
-def _generic_hdf5(path: Path) -> Variables:
-    """Any HDF5 file: numeric arrays by their path in it, with dots; axes as they are written."""
-    import h5py
-
-    places: dict[str, tuple[str, str]] = {}
-    seen: set[int] = set()
-
-    def note(name: str, item: Any) -> None:
-        if _refused(item, seen):
-            return
-        if isinstance(item, h5py.Group):
-            for member, inside in _inside(item):
-                note(f"{name}.{member}" if name else member, inside)
-        elif item.dtype.kind in "biuf":
-            places[name] = item.name, stated_unit(item.attrs)
-
-    def load(place: str) -> Any:
-        with h5py.File(path, "r") as file:
-            refuse_large(file[place].shape)
-            return file[place][()]
-
-    with h5py.File(path, "r") as file:
-        note("", file)
-    return {name: Variable(partial(load, place), unit) for name, (place, unit) in places.items()}
-
-
 _READERS: Mapping[str, Callable[[Path], Variables]] = {
     ".npy": _numpy_array,
     ".npz": _numpy_archive,
     ".mat": _matlab,
-    **dict.fromkeys(GENERIC_HDF5, _generic_hdf5),
+    **dict.fromkeys(GENERIC_HDF5, _hdf5),
     EXCEL: excel_columns,
     TDMS: tdms_channels,
 }

@@ -11,16 +11,24 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake, together
 from hammerstein.quantities import RATE_HZ, SCALE
-from hammerstein.records.checks import moves, still_mistake, unit_mistake
-from hammerstein.records.readers import Columns, Header, read_array, read_columns
+from hammerstein.records.checks import (
+    hidden_gaps,
+    moves,
+    sample_time,
+    still_mistake,
+    time_mistakes,
+    unit_mistake,
+)
+from hammerstein.records.readers import Columns, Header, named_time, read_array, read_columns
 from hammerstein.records.record import Record
-from hammerstein.records.scales import factors_of, refuse_other_time, sample_time_of
 from hammerstein.signals.text_tables import where
-from hammerstein.signals.units import Kind, axis_name
+from hammerstein.signals.units import BASE, Kind, axis_name, unit_in
 
 PathLike = str | Path
 
 AXES = ("sample", "channel", "experiment", "period")
+OTHER_RATE = 0.01
+"""Part by which a rate may differ from the one of the file's time column."""
 
 
 def read_records(
@@ -65,7 +73,7 @@ def read_records(
             columns = read_columns(path, wanted)
             records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
             if rate_hz is not None:
-                refuse_other_time(path, rate_hz, wanted)
+                _refuse_other_time(path, rate_hz, wanted)
         except InputError as error:
             failures.append(error)
     if failures:
@@ -153,17 +161,82 @@ def _record(
     input_scale: float | None,
     output_scale: float | None,
 ) -> Record:
-    found, factors = factors_of(columns, m, p, (input_scale, output_scale))
+    found, factors = _factors_of(columns, m, p, (input_scale, output_scale))
     mistakes = [*columns.mistakes, *found]
     step = 1.0 / rate_hz if rate_hz is not None else 1.0
     if rate_hz is None:
-        found, step = sample_time_of(columns)
+        found, step = _sample_time_of(columns)
         mistakes += found
     if mistakes:
         raise InputError(columns.source, mistakes)
     values = factors[:, None] * columns.values[: m + p]
     names = tuple(axis_name(name) for name in columns.names[: m + p])
     return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
+
+
+def _factors_of(
+    columns: Columns, m: int, p: int, scales: tuple[float | None, float | None]
+) -> tuple[list[Mistake], Array]:
+    """Factors from the file's numbers to V and um: as given, or by the units that the file names."""
+    mistakes, factors = [], np.ones(m + p)
+    voltage: tuple[Kind, str] = ("voltage", "input")
+    displacement: tuple[Kind, str] = ("displacement", "output")
+    kinds = [voltage] * m + [displacement] * p
+    for k, (kind, option) in enumerate(kinds):
+        unit, scale = unit_in(columns.units[k]), scales[k >= m]
+        if scale is not None:
+            factors[k] = scale
+        elif unit is not None and unit.kind == kind:
+            factors[k] = unit.factor
+        elif unit is not None and unit.kind != "time":
+            mistakes.append(
+                Mistake(
+                    where(columns.names[k]),
+                    f"is in {unit.symbol}, which is no {kind}: are --inputs and --outputs swapped? If not, "
+                    f"give --{option}-scale, the factor from its numbers to {BASE[kind]}",
+                )
+            )
+    return mistakes, factors
+
+
+def _refuse_other_time(path: str | Path, rate_hz: float, wanted: Sequence[str]) -> None:
+    """Refuse a rate that the file's own time column contradicts, and gaps that only that column shows."""
+    time = named_time(path)
+    if time is None or time.names[0] in wanted:
+        return
+    name, time_s = time.names[0], time.values[0]
+    step = float(np.median(np.diff(time_s)))
+    units = (1.0, 1e3, 1e6, rate_hz)  # s, ms, us, or samples that are counted
+    if step > 0.0 and all(abs(step * rate_hz / unit - 1.0) > OTHER_RATE for unit in units):
+        unit = unit_in(time.units[0])
+        seconds = step * (unit.factor if unit and unit.kind == "time" else 1.0)
+        raise InputError(
+            str(path),
+            f"the given rate is {rate_hz:g} Hz, but the column {name} has steps of {step:.6g}, which "
+            f"is {1.0 / seconds:.6g} Hz; give --time {name} instead of --rate, or the right rate",
+        )
+    mistakes = hidden_gaps(name, time_s, time.rows)
+    if mistakes:
+        raise InputError(str(path), mistakes)
+
+
+def _sample_time_of(columns: Columns) -> tuple[list[Mistake], float]:
+    """Mistakes of the time column, which is the last one, and the sample time."""
+    name, time_s = columns.names[-1], columns.values[-1]
+    if len(time_s) < 2 or not np.isfinite(time_s).all():
+        return [], 1.0  # told already, as too short or as gaps
+    unit = unit_in(columns.units[-1])
+    if unit is not None and unit.kind == "time" and unit.factor != 1.0:
+        time_s = np.round(unit.factor * time_s, 15)  # 0.05 ms in s, without the last digit's noise
+    mistakes = time_mistakes(name, time_s, columns.rows)
+    if mistakes:
+        return mistakes, 1.0
+    step = sample_time(time_s)
+    if not RATE_HZ.holds(1.0 / step):
+        what = f"has steps of {step:.6g} s, which is a rate of {1.0 / step:.6g} Hz; it "
+        what += f"{RATE_HZ.words()}. Is its unit another than its name says?"
+        return [Mistake(where(name), what)], 1.0
+    return [], step
 
 
 def _refuse_never_driven(records: Sequence[Record]) -> None:
