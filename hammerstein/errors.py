@@ -1,4 +1,4 @@
-"""Errors, one class for each exit code of the command line.
+"""Errors, one class for each exit code of the command line, and notices, which are none.
 
 Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
 3 a simulation diverged or is out of reach, 4 identification cannot fit,
@@ -7,14 +7,36 @@ Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import warnings
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
-from hammerstein.escaping import one_line
+from hammerstein.escaping import clean, one_line
 
 
 class Notice(UserWarning):
     """Something outside was not as it should be, and was mended or passed by."""
+
+
+def tell_notices() -> None:
+    """Let notices of this process be one line on stderr, each time that there is one.
+
+    What libraries warn of is for programmers: it is shown where ``-W`` or ``PYTHONWARNINGS`` ask for it.
+    """
+    others = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if not issubclass(category, Notice):
+            if sys.warnoptions:
+                others(message, category, *place, **more)
+            return
+        with contextlib.suppress(OSError):
+            print(clean(str(message)), file=sys.stderr, flush=True)
+
+    warnings.showwarning = show
+    warnings.simplefilter("always", Notice)
 
 
 class HammersteinError(Exception):

@@ -9,10 +9,9 @@ import sys
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, TextIO
 
-from hammerstein.errors import HammersteinError
+from hammerstein.errors import HammersteinError, tell_notices
 from hammerstein.escaping import clean, one_line
 from hammerstein.files import reason_of
-from hammerstein.runtime.notices import tell_notices
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -12,8 +12,7 @@ from hammerstein.metrics.arrays import (
     rms,
     worst,
 )
-from hammerstein.metrics.measured_window import Measured
-from hammerstein.metrics.metric import METRICS, Metric, metric, metrics_of
+from hammerstein.metrics.metric import METRICS, Measured, Metric, metric, metrics_of
 from hammerstein.metrics.row import KEY, Keyed, Row
 
 __all__ = [

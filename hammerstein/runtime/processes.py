@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from multiprocessing.context import BaseContext
 
+from hammerstein.errors import tell_notices
 from hammerstein.files import discard_unfinished
-from hammerstein.runtime.notices import tell_notices
 from hammerstein.runtime.resources import one_blas_thread
 
 ENDED = 143  # 128 + 15, what shells give for SIGTERM

@@ -309,7 +309,7 @@ def test_a_table_shows_the_name_of_its_file_escaped(folder, capsys):
 
 
 def test_warnings_of_libraries_are_for_programmers(capsys):
-    from hammerstein.runtime.notices import tell_notices
+    from hammerstein.errors import tell_notices
 
     with warnings.catch_warnings():
         tell_notices()

@@ -5,7 +5,7 @@ import pytest
 
 import hammerstein
 from hammerstein import metrics
-from hammerstein.metrics.measured_window import PathErrors
+from hammerstein.metrics.metric import PathErrors
 from hammerstein.paper.epsilon import epsilon
 from hammerstein.reporting.run_page import run_page
 

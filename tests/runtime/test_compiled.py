@@ -144,7 +144,7 @@ def double(x):
 
 if __name__ == "__main__":
     import pathlib, sys, time
-    from hammerstein.runtime.notices import tell_notices
+    from hammerstein.errors import tell_notices
     tell_notices()
     for place in sys.argv[1:2]:
         pathlib.Path(place).touch()
