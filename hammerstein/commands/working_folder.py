@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.errors import InputError
-from hammerstein.files import drop_cleanup, reason_of, register_cleanup, remove_empty
+from hammerstein.files import drop_cleanup, register_cleanup
 from hammerstein.plugins import load_plugins
-from hammerstein.runtime.storage.manifest import MANIFEST, Manifest
+from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.storage.staging import behind_link, staged
 from hammerstein.scenario.assessment import ASSESSMENTS
 
 Say = Callable[[str], None]
@@ -27,6 +29,7 @@ SINE_HZ, SINE_SAMPLES, MULTISINE_SAMPLES = 20.0, 3000, 3000
 """Three periods of a slow sine, and a multisine as long."""
 COLUMNS = ("u_x", "u_y"), ("x", "y")
 CI = ".github/workflows/hammerstein.yml"
+INIT = Owner("init", single=True, listed=False)
 
 
 def own_folder(target: Path, say: Say) -> None:
@@ -41,7 +44,8 @@ def own_folder(target: Path, say: Say) -> None:
     ------
     InputError : something of these names is there already, or the folder cannot be written
     """
-    with _made(target) as room:
+    refuse_started(target)
+    with _scratch() as room, staged(behind_link(target), INIT) as stage:
         _copy(STARTER / "README.md", room / "README.md")
         _copy(STARTER / "circle.toml", room / "circle.toml")
         _copy(STARTER / "hammerstein.yml", room / CI)
@@ -50,6 +54,8 @@ def own_folder(target: Path, say: Say) -> None:
         files = [_write_record(room, axis) for axis in range(2)]
         _identify(files, room / "stage.json", lambda what: say(f"2 of 3: identifying its model: {what}"))
         _run(room, lambda what, done, of: say(f"3 of 3: running the scenario: {what}, {done} of {of}"))
+        stage.take(room)
+        refuse_existing(target, stage.names)
 
 
 def folder_of(assessment: str, target: Path) -> None:
@@ -61,66 +67,31 @@ def folder_of(assessment: str, target: Path) -> None:
     brought = {name: files for name, kind in ASSESSMENTS.kinds.items() if (files := kind.shipped())}
     if assessment not in brought:
         raise InputError("--of", f"nothing is available for {assessment!r}; give one of {', '.join(brought)}")
-    with _made(target) as room:
+    with staged(behind_link(target), INIT) as stage:
         for name, file in brought[assessment].items():
-            _copy(file, room / name)
+            stage.write(name, file.read_bytes())
+        refuse_existing(target, stage.names)
 
 
 @contextmanager
-def _made(target: Path) -> Iterator[Path]:
-    """Make files in a hidden room; move them to the target when all are there, and nothing over anything.
-
-    Where they do not come to be all there, no folder is left that was not there before.
-    """
-    made = [place for place in (target, *target.parents) if not place.exists()]
-    room = target / f".hammerstein-init-{uuid4().hex}"
-
-    def undone() -> None:
-        shutil.rmtree(room, ignore_errors=True)
-        remove_empty(made)
-
-    register_cleanup(room, undone)
-    try:
-        room.mkdir(parents=True)
-        yield room
-        _move(room, target)
-    except OSError as error:
-        what = f"cannot be written ({reason_of(error)}); choose another folder"
-        raise InputError(str(target), what) from None
-    finally:
-        undone()
-        drop_cleanup(room)
+def _scratch() -> Iterator[Path]:
+    """A folder that is gone afterwards, however the program ends."""
+    with tempfile.TemporaryDirectory(prefix="hammerstein-") as name:
+        room = Path(name)
+        register_cleanup(room, partial(shutil.rmtree, room, ignore_errors=True))
+        try:
+            yield room
+        finally:
+            drop_cleanup(room)
 
 
-def _move(room: Path, target: Path) -> None:
-    manifest = room / MANIFEST
-    found = (path for path in sorted(room.rglob("*")) if path.is_file() and path != manifest)
-    files = [path.relative_to(room) for path in found]
-    refuse_existing(target, files)
-    moved: list[Path] = []
-    folders = sorted({place for file in files for place in (target / file).parents}, reverse=True)
-    made = [place for place in folders if not place.exists()]
-    try:
-        for file in files:
-            place = target / file
-            place.parent.mkdir(parents=True, exist_ok=True)
-            os.rename(room / file, place)
-            moved.append(place)
-        Manifest.read(target).joined(Manifest.read(room)).save()
-    except BaseException:
-        for place in moved:
-            place.unlink()
-        remove_empty(made)
-        raise
-
-
-def refuse_existing(target: Path, files: list[Path]) -> None:
+def refuse_existing(target: Path, names: Sequence[str]) -> None:
     """Refuse a folder that holds one of these files: nothing is ever written over; InputError names them.
 
     A file or a link where a folder is to be stands in the way, too.
     """
-    folders = {place for file in files for place in file.parents if place != Path(".")}
-    there = [file.as_posix() for file in files if os.path.lexists(target / file)]
+    folders = {place for name in names for place in Path(name).parents if place != Path(".")}
+    there = [name for name in names if os.path.lexists(target / name)]
     there += sorted(f.as_posix() for f in folders if (target / f).is_symlink() or (target / f).is_file())
     if there:
         listed = ", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
@@ -131,7 +102,7 @@ def refuse_started(target: Path) -> None:
     """Refuse, before the work, what ``own_folder`` would refuse after it; InputError."""
     names = ["README.md", "circle.toml", "path.csv", "record_x.csv", "record_y.csv", "stage.json", CI]
     names += ["stage_fit/fit.json", "reports/circle/report.json", "reports/baseline/circle.json"]
-    refuse_existing(target, [Path(name) for name in names])
+    refuse_existing(target, names)
 
 
 def _copy(source: Path, place: Path) -> None:

@@ -20,6 +20,7 @@ from hammerstein.commands.cli import app, main
 from hammerstein.model import HammersteinModel
 from hammerstein.records.array_files import array_columns
 from hammerstein.regression.baseline import Baseline
+from hammerstein.runtime.storage.manifest import Manifest
 
 KEPT_MB = "100"
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]
@@ -70,14 +71,14 @@ def test_init_writes_nothing_past_what_stands_in_the_way_of_a_folder(
 def test_an_init_that_fails_in_the_middle_leaves_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    target, rename = tmp_path / "new" / "here", os.rename
+    target, replace = tmp_path / "new" / "here", os.replace
 
     def full(source: Path, place: Path) -> None:
         if Path(place).name == "static_inverse.json":
             raise OSError(errno.ENOSPC, "No space left on device")
-        rename(source, place)
+        replace(source, place)
 
-    monkeypatch.setattr("os.rename", full)
+    monkeypatch.setattr("os.replace", full)
     assert call("init", target, "--of", "paper") == 2
     assert f"{target}: cannot be written (no space left on device)" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
@@ -103,6 +104,12 @@ def test_every_command_of_the_page_that_init_writes_runs(
     assert HammersteinModel.load("stage.json").digest() == before.digest()
     own = HammersteinModel.load("duo_bimorph").hysteresis.gain(10.0)
     assert before.hysteresis.gain(10.0) == pytest.approx(own, abs=0.05)
+
+
+def test_what_init_makes_is_the_person_s_own_but_for_the_model(folder: Path) -> None:
+    """A file in the manifest may be replaced by a command; the scenario and the records may not."""
+    assert Manifest.read(folder).files.keys() == {"stage.json"}
+    assert "report.html" in Manifest.read(folder / "reports/circle").files
 
 
 def test_nothing_is_ever_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -153,5 +153,5 @@ def _undo(folder: Path, room: Path, plan: Exchange) -> None:
 
 def _remove_empty(folder: Path, plan: Exchange) -> None:
     """Remove subfolders that nothing is left in."""
-    places = [(folder / name).parent for name in {**plan.leaving, **plan.coming}]
-    remove_empty(place for place in places if place != folder)
+    places = {place for name in {**plan.leaving, **plan.coming} for place in Path(name).parents}
+    remove_empty(folder / place for place in sorted(places - {Path()}, reverse=True))

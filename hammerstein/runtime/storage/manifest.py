@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ValidationError
 
 from hammerstein.errors import InputError
-from hammerstein.files import read_limited, write_atomic
+from hammerstein.files import read_limited
 from hammerstein.validation import Strict
 
 RESERVED = ".hammerstein"
@@ -34,11 +34,13 @@ class Owner:
     replaces : whose files of an earlier run are removed, beside its own
     single : whether each of its files stands alone: others of an earlier run stay, and it takes the place of
         no file of another command
+    listed : whether its files stand in the manifest; others are the user's own from the start
     """
 
     name: str
     replaces: tuple[str, ...] = ()
     single: bool = False
+    listed: bool = True
 
 
 SWEEP = Owner("sweep", single=True)
@@ -107,15 +109,6 @@ class Manifest:
     def to_json(self) -> str:
         """Text of the manifest: sorted keys, no clock and no host."""
         return json.dumps(_ManifestFile(files=dict(self.files)).model_dump(), indent=1, sort_keys=True) + "\n"
-
-    def joined(self, other: Manifest) -> Manifest:
-        """Return the manifest of this folder with the files of another that were moved into it."""
-        return Manifest(self.folder, {**self.files, **other.files})
-
-    def save(self) -> None:
-        """Write the manifest of a folder, unless it lists no file; InputError if it cannot be written."""
-        if self.files:
-            write_atomic(self.folder / MANIFEST, self.to_json())
 
     def holder(self, name: str, owner: Owner) -> Holder:
         """Tell whose the file is that has a name."""

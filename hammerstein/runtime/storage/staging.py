@@ -132,10 +132,22 @@ class Stage:
         self._digests[name] = digest_of(path)
         self._owners[name] = owner or self.owner
 
+    def take(self, folder: Path) -> None:
+        """Make a copy of every file in a folder; those that its manifest lists belong to the same command."""
+        listed = Manifest.read(folder).files
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            if (name := path.relative_to(folder).as_posix()) != MANIFEST:
+                self.write(name, path.read_bytes(), Owner(listed[name].owner) if name in listed else None)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the files that were made."""
+        return [name for name in self._digests if name != MANIFEST]
+
     @property
     def written(self) -> list[Path]:
         """Places of the files, once they are there."""
-        return [self.folder / name for name in self._digests if name != MANIFEST]
+        return [self.folder / name for name in self.names]
 
     def publish(self) -> None:
         """Exchange the files of the earlier run for these."""
@@ -157,8 +169,10 @@ class Stage:
             for name, entry in before.files.items()
             if name not in leaving and is_plain_file(self.folder, name)
         }
-        entries |= {n: FileEntry(owner=self._owners[n].name, sha256=digest) for n, digest in new.items()}
-        self.write(MANIFEST, Manifest(self.folder, entries).to_json())
+        listed = {name: self._owners[name] for name in new if self._owners[name].listed}
+        entries |= {n: FileEntry(owner=owner.name, sha256=new[n]) for n, owner in listed.items()}
+        if entries or before.files:
+            self.write(MANIFEST, Manifest(self.folder, entries).to_json())
         if (self.folder / MANIFEST).is_file():
             leaving[MANIFEST] = digest_of(self.folder / MANIFEST)
         self.kept += exchange(self.folder, self._room, Exchange(leaving=leaving, coming=self._digests))
@@ -242,7 +256,7 @@ def prepare_file(option: str, path: Path, owner: Owner, overwrite: bool = False)
     refuse_no_file(option, path)
     refuse_file_name(option, path)
     if path.parent.exists():
-        prepare(_real(path.parent), owner, [path.name], overwrite, option)
+        prepare(behind_link(path.parent), owner, [path.name], overwrite, option)
 
 
 def write_file(
@@ -268,7 +282,7 @@ def write_file(
 @contextmanager
 def staged_beside(path: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stage]:
     """Return the stage of the folder of one file; the folder may be a link, and errors name the file."""
-    folder = _real(path.parent)
+    folder = behind_link(path.parent)
     refuse_no_file(str(path), path)
     try:
         with staged(folder, owner, overwrite) as stage:
@@ -279,7 +293,7 @@ def staged_beside(path: Path, owner: Owner, overwrite: bool = False) -> Iterator
         raise InputError(str(path), error.mistakes) from None
 
 
-def _real(folder: Path) -> Path:
+def behind_link(folder: Path) -> Path:
     """A folder that a person named: behind its link, if it is one."""
     return folder.resolve() if folder.is_symlink() else folder
 
