@@ -8,12 +8,12 @@ from hammerstein.escaping import clean
 
 
 def unique(names: Sequence[str], written: Callable[[str], str] = str) -> tuple[str, ...]:
-    """Names of which none stands twice: the second ``Volt`` becomes ``Volt_2``.
+    """Unique names: the second ``Volt`` becomes ``Volt_2``.
 
     Parameters
     ----------
-    names : as they come
-    written : what a file of ours makes of a name; no two of them may be the same either
+    names : in their order
+    written : form of a name in a file; two names must not have the same form
 
     Examples
     --------

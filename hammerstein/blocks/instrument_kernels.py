@@ -22,9 +22,9 @@ def converted(value, low, high, step):  # type: ignore[no-untyped-def]
 
 @compiled()
 def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-def]
-    """Voltages that leave the converter, and where the range cut them.
+    """Output voltages of the converter, and samples that the range cut.
 
-    asked : (m, N) [V]; steps, ends : (2, m) lowest and highest step; voltages beyond which a range cuts
+    asked : (m, N) [V]; steps : (2, m) lowest and highest step; ends : (2, m) limits of the range [V]
     step : of the converter [V]; drive : (m, N), overwritten; cut : (m, N), overwritten
     """
     for k in range(asked.shape[0]):
@@ -38,9 +38,9 @@ def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-de
 
 @compiled()
 def leaving(asked, rest, ends, left):  # type: ignore[no-untyped-def]
-    """Whether a voltage comes to an end of its range; ``left`` notes which inputs leave a voltage.
+    """Whether a voltage reaches an end of its range; ``left`` records which inputs have moved from ``rest``.
 
-    asked : (m, N) [V]; rest : (m,) voltage that they leave [V]; ends : (2, m) of the ranges; left : (m,)
+    asked : (m, N) [V]; rest : (m,) [V]; ends : (2, m) of the ranges; left : (m,)
     """
     reached = 0
     for k in range(asked.shape[0]):

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class Memory:
     """State of a block between two samples; JSON keeps it to the last bit.
 
-    A block's own memory derives from this as a frozen dataclass of arrays, numbers, other memories and tuples
-    of them. A block that remembers nothing has this one itself.
+    The memory of a block derives from this class, as a frozen dataclass of arrays, numbers, other memories
+    and tuples of them. A block without memory uses this class itself.
 
     Examples
     --------
@@ -41,9 +41,8 @@ class Memory:
         return {name: _plain(getattr(self, name)) for name in self._names()}
 
     def restored(self, data: dict[str, Any]) -> Self:
-        """Memory of the same shape as this one from what its ``as_dict`` gave.
-
-        Raises InputError for what lacks a part of it.
+        """Memory of the same shape as this one, from the result of its ``as_dict``; InputError if a part is
+        missing.
         """
         missing = [name for name in self._names() if name not in data]
         if missing:
@@ -72,7 +71,7 @@ def _plain(own: Any) -> Any:
 
 
 def _shaped(own: Any, data: Any) -> Any:
-    """Plain data as what stands in its place: of that type, an array of that shape."""
+    """Plain data in the type of a given value: an array of its shape, or its class."""
     if isinstance(own, Memory):
         return own.restored(data)
     if isinstance(own, tuple):
@@ -102,14 +101,14 @@ class Designed(ABC):
 class Law(Designed, Generic[S]):
     """A sensorless compensator of an actuator with m inputs and p outputs.
 
-    ``respond`` and ``step`` work on a stream: what leaves at sample k is the drive for the reference
-    sample k - ``preview_samples``. ``drive_for`` aligns a whole reference that is known ahead.
+    ``respond`` and ``step`` work on a stream: their output at sample k is the drive for the reference sample
+    k - ``preview_samples``. ``drive_for`` aligns a whole reference that is known ahead.
 
-    A law respects the drive's range itself, so that its memory stays that of the actuator; where the
-    drive stands at the range the reference was not reached.
+    A law keeps within the range of the drive itself, so its memory stays that of the actuator. Where the
+    drive is at its range, the reference is not reached.
 
-    Voltages that leave a law are absolute. The reference counts from where the actuator stands at the start
-    (``range.start_v``); inside, a law counts from rest at the working point, as its model does.
+    The output voltages of a law are absolute. The reference is relative to the position at the start
+    (``range.start_v``). Inside, a law counts from rest at the working point, as its model does.
     """
 
     origin_um: Array
@@ -204,9 +203,9 @@ class Law(Designed, Generic[S]):
     def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
         """Return the law as a discrete ``control.NonlinearIOSystem``.
 
-        Its inputs are ``reference_um[o]``, its outputs ``requested_v[k]``, which leave ``preview_samples``
-        later than their reference comes. ``primed`` gives the state to start with, and what to send, where
-        the reference is known ahead.
+        Its inputs are ``reference_um[o]``, its outputs ``requested_v[k]``, which are ``preview_samples``
+        later than their reference. If the reference is known ahead, ``primed`` gives the initial state and
+        the rest of the reference.
 
         Raises InputError for another sample time than the law was designed for.
         """

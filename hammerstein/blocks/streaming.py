@@ -15,7 +15,7 @@ from hammerstein.errors import InputError
 class Stream:
     """A running law that holds its own state.
 
-    A step leaves no garbage, so the garbage collector does not pause it. The voltages equal those of
+    A step creates no garbage, so the garbage collector does not pause it. The voltages equal those of
     ``law.step`` to the last bit.
 
     Attributes

@@ -55,8 +55,8 @@ class StackAxis(Strict):
     def charge(self) -> Pair:
         """Plays of s = C u + T x whose sum is the charge q.
 
-        With u and x given, q + C V_h(q) = s. The left side is a Prandtl-Ishlinskii operator with slopes
-        that fall to 1, so that its inverse is one too, and no loop is left to solve (Krejci and Kuhnen, IEE
+        With u and x given, q + C V_h(q) = s. The left side is a Prandtl-Ishlinskii operator with slopes that
+        fall to 1. Its inverse is therefore also one, and there is no algebraic loop (Krejci and Kuhnen, IEE
         Proc. Control Theory Appl. 148(3), 2001).
         """
         stops = sorted(self.stops, key=lambda stop: stop.threshold_uc)

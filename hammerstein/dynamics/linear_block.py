@@ -95,7 +95,7 @@ class SteppedBlock(ABC):
     def to_iosys(self, sample_time_s: float, name: str = "dynamics") -> BlockSystem:
         """Return the block as a discrete python-control system, ``hysteresis_um[i]`` to ``position_um[o]``.
 
-        It stands on its own sample grid; InputError for another sample time.
+        It has its own sample time; InputError for another one.
         """
         from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
 
@@ -144,10 +144,10 @@ class LinearBlock(SteppedBlock, ByValue):
     def held(self, sample_time_s: float, late_s: float = 0.0) -> LinearBlock:
         """Discretise a continuous-time block exactly for an input that is constant over each sample.
 
-        The input may come ``late_s`` late, less than a sample. Its last value is then carried as a state and
-        works until the new one arrives (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 1997,
-        section 2.3). State and input together are a block without input, whose step is a matrix exponential:
-        what ``scipy.signal.cont2discrete`` does, which takes longer to load than a short run to simulate.
+        The input may be delayed by ``late_s``, less than a sample. Its last value is then a state that acts
+        until the new value arrives (Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed., 1997,
+        section 2.3). State and input together are a block without input, whose step is a matrix exponential.
+        ``scipy.signal.cont2discrete`` does the same, but loading it takes longer than simulating a short run.
         """
         from scipy.linalg import expm
 

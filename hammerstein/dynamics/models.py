@@ -121,7 +121,7 @@ class Axis(Strict):
         return reduce(LinearBlock.behind, parts) if parts else unit_gain(1)
 
     def _parts(self) -> Iterator[StateMatrices]:
-        """What stands one behind the other, the last one first."""
+        """Parts in series, the last one first."""
         if self.creep:
             yield _slow_modes([c.gain for c in self.creep], [c.time_constant_s for c in self.creep])
         if self.resonance_hz is not None:
@@ -345,8 +345,7 @@ def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> St
 def linear(dynamics: Dynamics) -> Linear:
     """Return the dynamics as linear ones; InputError where they have hysteresis in their loop.
 
-    What such a model does follows from the loop alone: nobody can work with the block in front of it as if
-    that were the whole.
+    The response of such a model follows from the loop, so the block in front of it must not be used alone.
     """
     if isinstance(dynamics, WithLoop):
         raise InputError(

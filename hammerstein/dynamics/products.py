@@ -18,13 +18,13 @@ MOST_FACTORS = 3
 
 @dataclass(frozen=True, eq=False)
 class InputProducts(ByValue):
-    """Weighted products of up to three z, each taken as part of its limit and held within it.
+    """Weighted products of up to three z, each relative to its limit and clipped to it.
 
         w_i = sum over j of K_ij part_a part_b part_c,    part_k = z_k / limit_k within -1 to 1
 
-    They stay bounded, so that large amplitudes are as stable without them.
+    They are bounded, so they do not change the stability at large amplitudes.
 
-    weights : K (q, M); limit : (h,); factors : (M, 3) which z each is a product of, h where there is none
+    weights : K (q, M); limit : (h,); factors : (M, 3) numbers of the z in each product, h for none
     """
 
     weights: Array

@@ -89,10 +89,10 @@ class DeadZones(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class ZoneLines:
-    """All dead-zones of every input as lines on one grid an input, relative to the working point.
+    """All dead-zones as lines, on one grid for each input, relative to the working point.
 
     n : (m,) breakpoints of each input
-    ends : (m, n_max+1) upper end of each zone [V], the last one and what is left at infinity
+    ends : (m, n_max+1) upper end of each zone [V]; the last one and unused ones are infinite
     slope, intercept : (m, n_max+1, p) line of each zone; zero at the working point
     """
 
@@ -123,7 +123,7 @@ class ZoneLines:
         return cls(n, ends, slope, intercept)
 
     def values(self, k: int, q_v: ArrayLike) -> Array:
-        """What the dead-zones of input k add (p, N) where its smallest play stands at q [um]."""
+        """Contribution (p, N) of the dead-zones of input k when its smallest play is at q [um]."""
         q = np.atleast_1d(np.asarray(q_v, dtype=np.float64))
         zone = np.searchsorted(self.ends[k, : self.n[k]], q)
         return np.asarray((self.intercept[k, zone] + self.slope[k, zone] * q[:, None]).T)

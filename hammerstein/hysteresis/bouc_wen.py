@@ -247,8 +247,8 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
     def slope_columns(self, k: int) -> Array:
         """Ends of the slopes of input k (number, output) [um/V], in all combinations; d comes last.
 
-        Every slope lies between them, so that what is linear in each of them, as a determinant is, is largest
-        and smallest at one of them.
+        Every slope lies between them. A function that is linear in each slope, such as a determinant, is
+        therefore largest and smallest at one of these combinations.
         """
         ends = [row[k].slopes_um_per_v[::-1] for row in self.pairs]
         return np.array(list(itertools.product(*ends)))

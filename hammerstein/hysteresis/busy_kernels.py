@@ -1,19 +1,19 @@
-"""Compiled loop of the plays of an input that turns all the time: every operator in every sample.
+"""Compiled loop of plays for an input that turns often: it updates every operator in every sample.
 
-A turn costs the turning-point form (``play_kernels``) as much as updating fifty operators. An input of
-few operators that turns often is therefore in the *busy form*, the textbook loop
+In the turning-point form (``play_kernels``), a turn costs as much as updating fifty operators. An input with
+few operators that turns often therefore uses the *busy form*, the textbook loop
 
     p[i] = max(u - r[i], min(u + r[i], p[i]))        y = sum over i of  w[i] p[i]
 
 for groups of operators whose plays stay in registers through a piece of the signal; the weighted sums follow
 for all samples of the piece at once, each sample's always in the same order.
 
-Which form an input is in is a part of its memory, and follows from its own past alone, never from how the
+The form of an input is part of its memory. It follows from the past of the input alone, never from how the
 signal is cut. With n operators a window of it is busy if more than one sample in ``TURN / n`` turns:
 
 - Turning-point form: the first turn after ``LOOK`` samples closes the window, and begins the busy form if
-  that window was busy. What rested in the dead zone of the smallest threshold and moves on counts as a turn,
-  for it costs as much.
+  that window was busy. Leaving the dead zone of the smallest threshold counts as a turn, because it costs as
+  much.
 - Busy form: windows are ``WINDOW`` samples long. The first that was not busy ends it.
 """
 

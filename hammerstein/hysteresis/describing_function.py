@@ -32,9 +32,9 @@ def describing_function(pair: Pair, amplitude_v: ArrayLike, range_v: float = np.
 
         N(A) = sum of w_i { [f(M/A) + f((M - 2 r_i)/A)] / 2  -  4j r_i (M - r_i) / (pi A^2) }
 
-    The plays see the cut sine, so the two describing functions do not multiply: on the rising half the play
-    stands at -(M - r) until u = 2 r - M, follows u - r until u = M and stands at M - r; that half gives the
-    real part, and the area 4 r (M - r) of its loop the imaginary one.
+    The plays see the cut sine, so the two describing functions do not multiply. On the rising half, the play
+    stays at -(M - r) until u = 2 r - M, follows u - r until u = M, and stays at M - r. This half gives the
+    real part; the area 4 r (M - r) of the loop gives the imaginary part.
 
     Parameters
     ----------

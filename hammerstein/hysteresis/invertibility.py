@@ -95,7 +95,7 @@ class Invertibility:
 def invertibility(
     hysteresis: Hysteresis[Any], range_v: ArrayLike = math.inf, amplitude_v: float | None = None
 ) -> Invertibility:
-    """Examine every slope matrix that a drive within a range can bring about.
+    """Examine every slope matrix that can occur for a drive within a range.
 
     Gamma(U) = Y has one solution for every Y if the determinants of all slope matrices J have one sign, for
     on a monotone piece the model is separable and piecewise affine (Fujisawa and Kuh 1972). Column k of J
@@ -109,12 +109,12 @@ def invertibility(
         or lowest and highest voltage counted from it (2, m); operators with larger thresholds never move
     amplitude_v : amplitude for the gain matrix of a model with more inputs than outputs [V]
 
-    Of a kind that has no rule of its own, but knows its slopes, those at the ends decide: a determinant is
+    For a kind that has slopes but no rule of its own, the slopes at the ends decide, because a determinant is
     linear in each column.
 
     Raises
     ------
-    InputError : a kind that cannot tell, more outputs than inputs, an input that moves no output, or one
+    InputError : a kind without this ability, more outputs than inputs, an input that moves no output, or one
         that the range cannot move
     SimulationError : too many slope matrices to examine
 
@@ -167,10 +167,10 @@ def _(
 def _(
     hysteresis: RateDependent, range_v: ArrayLike = math.inf, amplitude_v: float | None = None
 ) -> Invertibility:
-    """Any set of plays may move together while thresholds change: every sum of their weights counts.
+    """Any set of plays may move together while thresholds change, so every sum of their weights counts.
 
-    There is an inverse if, seen through the inverse of the mean slopes, each column keeps a positive share
-    of its own however its plays combine, larger than the sum of what it may do to the others.
+    There is an inverse if each column, multiplied by the inverse of the mean slopes, is diagonally dominant
+    for every combination of its plays.
     """
     m = hysteresis.n_inputs
     require_square(m, hysteresis.n_outputs, "exact_inverse")
@@ -325,12 +325,12 @@ def _ends_v(square: Asymmetric, k: int, zone: int) -> tuple[float, float]:
 
 
 def completed(hysteresis: PrandtlIshlinskii | Asymmetric, amplitude_v: float) -> tuple[Asymmetric, Array]:
-    """Make the model square and its smallest thresholds zero, as the exact inverse wants it.
+    """Make the model square and its smallest thresholds zero, as the exact inverse needs it.
 
-    The smallest threshold of each input is taken off all of its thresholds; dead-zones stand behind it
-    anyway. A model with m > p inputs gets m - p rows ``M q = 0`` more, M spanning what the gain matrix G of
-    the settled loops maps to zero: of all drives that G maps to the same displacement they leave the
-    shortest. A classical model has no dead-zones.
+    The smallest threshold of each input is subtracted from all of its thresholds; dead-zones act after it
+    anyway. A model with m > p inputs gets m - p additional rows ``M q = 0``. M spans the null space of the
+    gain matrix G of the settled loops, so that of all drives with the same displacement, the smallest
+    remains. A classical model has no dead-zones.
 
     Returns
     -------

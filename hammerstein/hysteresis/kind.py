@@ -256,9 +256,9 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
 @runtime_checkable
 class Sloped(Protocol):
-    """The ability of a kind whose outputs move on lines: it knows the slopes of an input.
+    """Ability of a kind whose outputs move on lines: the slopes of an input.
 
-    Every slope is one of them, or lies between some of them in the same shares for all outputs.
+    Every slope is one of these, or a mean of some of them with the same shares for all outputs.
     """
 
     @property
@@ -272,7 +272,7 @@ class Sloped(Protocol):
 
 
 def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
-    """Slopes (number, output) [um/V] of input k: all of them, or those of a loop that is driven [V]."""
+    """Slopes (number, output) [um/V] of input k: all of them, or those in a loop of an amplitude [V]."""
     if isinstance(hysteresis, Sloped):
         return hysteresis.slope_columns(k)
     return hysteresis.swept_slopes(k, amplitude_v)

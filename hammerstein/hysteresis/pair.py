@@ -69,7 +69,7 @@ def played(path_v: ArrayLike, r: ArrayLike) -> Array:
 
 
 def _line(name: str, values: ArrayLike) -> Array:
-    """Numbers in a line (n,), finite; InputError says what else was given."""
+    """Finite numbers (n,); raises InputError for anything else."""
     try:
         found = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -153,7 +153,7 @@ class Pair(ByValue):
 
 
 def weighted_mistakes(name: str, places_v: Array, w: Array, errors: Array | None) -> Iterable[Mistake]:
-    """What is wrong with weights, and their errors, of operators at some places; ``name`` says of which."""
+    """Mistakes in weights, and in their errors, of operators; ``name`` says which operators."""
     if places_v.ndim != 1 or w.shape != places_v.shape:
         yield Mistake(
             "weights_um_per_v",

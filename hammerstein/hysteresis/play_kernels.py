@@ -3,16 +3,15 @@
 The textbook loop (``play_bank``) updates every operator in every sample. The turning-point form below gives
 the same outputs at a cost a sample that does not grow with the number of operators.
 
-The operators of one input stand on one grid of increasing thresholds r[0] < r[1] < ... . Whatever moved the
-input, neighbouring operators that were last engaged together form a *segment*: operators ``start..end-1``
-with outputs
+The operators of one input share one grid of increasing thresholds r[0] < r[1] < ... . Neighbouring operators
+that were last engaged together form a *segment*: operators ``start..end-1`` with outputs
 
     p[i] = x - d r[i],      d = +1 rising, -1 falling, 0 never engaged since the start
 
 and the segments form a stack: the top one begins at operator 0, the bottom one ends at the last operator.
 Moving the input in one direction engages a prefix of the grid; the prefix becomes the new top segment
-and wipes out what it covers (the wiping-out property of Prandtl-Ishlinskii models). What is left below it
-ends in a segment (x', d') whose operator k engages when
+and wipes out the segments that it covers (the wiping-out property of Prandtl-Ishlinskii models). Below it
+lies a segment (x', d') whose operator k engages when
 
     direction (u - x') > (1 - direction d') r[k]
 
@@ -23,12 +22,12 @@ point (x', y') where it was last on top:
 
     W[k] = w[0] + ... + w[k-1],   R[k] = w[0] r[0] + ... + w[k-1] r[k-1]
 
-So a sample costs one line, an engagement one search in the grid and one new line, a reversal one push and a
-few pops; no reversal touches all operators. The tips follow from the stack alone, from the bottom upwards:
-that is why a signal cut in pieces gives the same numbers to the last bit.
+So a sample costs one line; an engagement, one search in the grid and one new line; a reversal, one push and a
+few pops. No reversal touches all operators. The tips follow from the stack alone, from the bottom upwards. A
+signal cut in pieces therefore gives the same numbers to the last bit.
 
-An input of few operators that turns all the time goes over to the textbook loop while it does so: see
-``busy_kernels``. Between two calls its memory is a stack all the same, one segment an operator with d = 0.
+An input with few operators that turns often switches to the textbook loop (``busy_kernels``). Between two
+calls its memory is still a stack, with one segment for each operator and d = 0.
 
 Source: Brokate and Sprekels, Hysteresis and Phase Transitions (1996), chapter 2 (play operator, memory).
 """
@@ -112,9 +111,10 @@ def first_at_least(level, where, r, guide):  # type: ignore[no-untyped-def]
 def move(i, u, r, w, rw, count, end, x, d, below, v):  # type: ignore[no-untyped-def]
     """Move input i to u and add its outputs to v (p,); its stack is updated in place.
 
-    The form for laws that decide the next sample from this one. ``below`` is what the segments under each
-    one add, so that the output is  W[k] x - d R[k] + below  with x, d, below and k = end of the top one.
-    Whole arrays and an index, and no call: rows and calls would cost more than the rest of this function.
+    This form is for laws that compute the next sample from this one. ``below`` is the contribution of the
+    segments under each one. The output is W[k] x - d R[k] + below, with x, d, below and k = end of the top
+    segment. The function takes whole arrays and an index and makes no calls, because rows and calls would
+    cost more than the rest.
 
     r : (m, n_max) thresholds; w, rw : (m, n_max+1, p) partial sums of weights and of weights times thresholds
     count : (m,); end, x, d : (m, n_max+1) the stacks; below : (m, n_max+1, p)
@@ -316,13 +316,14 @@ def respond_block(  # type: ignore[no-untyped-def]
 def _respond_branches(  # type: ignore[no-untyped-def]
     u, start, stop, r, guide, scale, lines, top, end, x, d, tip, window, y, outputs
 ):
-    """Add to y from start to stop, or to the turn that begins the busy form; returns where, and the top.
+    """Add to y from start to stop, or to the turn that begins the busy form; return that sample and the top.
 
     Each turn of the outer loop is one branch, each turn of the inner one a line of it or one sample that
     engages operators. ``level`` is the threshold that a sample reaches on its branch.
 
-    It stays in one piece: with the rest of a branch in a helper, inlined or not, it takes up to 2.7 times as
-    long (references are counted anew on each branch), and with the inmost search alone in one, up to 1.25.
+    It is one function for speed. With the rest of a branch in a helper, inlined or not, it takes up to 2.7
+    times as long, because references are counted anew on each branch. With only the innermost search in a
+    helper, it takes up to 1.25 times as long.
     """
     t, seen, turns, rested = start, int(window[SEEN]) - start, int(window[TURNS]), window[RESTED]
     while t < stop:

@@ -295,8 +295,8 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
     def first_guesses(cls, driven: Driven) -> list[Preisach]:
         """Planes over the range of each input, coarse ones first; see ``Identifiable``.
 
-        Each is also tried with the working point in its middle: where an actuator that was never driven
-        stands near the end of its range, its first rise goes through relays that switch off below the range.
+        Each is also tried with the working point in its middle. If an actuator that was never driven rests
+        near the end of its range, its first rise passes relays that switch off below the range.
         """
         if not driven.half_swing_v.all():
             name = driven.inputs[int(np.argmin(driven.half_swing_v))]
@@ -329,7 +329,8 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
     def roughness(self) -> Array:
         """Differences (number, weight) of neighbours along the lines of one width.
 
-        They are nothing for plays: of what the records leave open, the smoothest model is one of plays.
+        They are zero for plays. Where the records do not determine the weights, the smoothest model therefore
+        consists of plays.
         """
         counts = self.operators[0]
         rows, first = [], 0
@@ -371,7 +372,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         return Bounds(np.eye(sum(counts)), side, bound)
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
-        """Return the grid, and what part of it is no plays."""
+        """Return the grid, and the part of it that plays cannot represent."""
         found = []
         for name, cells in zip(inputs, self.cells_um_per_v[0], strict=True):
             found.append(f"the Preisach plane of {name} has {len(cells)} x {len(cells)} cells")

@@ -7,10 +7,11 @@ weight of the triangle between two voltages, a branch is
 
     rising from b:   y = tip + E(u, b),      falling from a:   y = tip - E(a, u)
 
-``tip`` is the output at the turn. A turn that the input comes back to is wiped out with the one after it, and
-the branch before goes on from its own tip. E is known at the levels and bilinear between them (linear on the
-cells of the diagonal), so that a branch is a straight line between two levels: a sample costs that line, a
-level or a turn a new one.
+``tip`` is the output at the turn. When the input returns to a turn, that turn and the next one are wiped out,
+and the branch before continues from its own tip. E is known at the levels and bilinear between them (linear
+on the
+cells of the diagonal), so that a branch is a straight line between two levels. A sample costs one line; a
+level or a turn, a new one.
 
 Sources: Mayergoyz, Mathematical Models of Hysteresis (1991), chapter 1 (staircase, Everett function).
 """

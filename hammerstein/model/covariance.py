@@ -22,7 +22,7 @@ from hammerstein.quantities import Entry, NoCycles
 class ParameterCovariance(ByValue):
     """Covariance of the parameters other than weights, and sensitivity of the weights to them.
 
-        x + d,   w + M d + (what the weights err by with given x),   cov d = L L^T
+        x + d,   w + M d + (error of the weights for given x),   cov d = L L^T
 
     x are places and free numbers of the hysteresis, such as thresholds, then those of the axes: ln resonance,
     ln damping, ln time constant of a low-pass, gain and ln time constant of each slow mode.
@@ -31,9 +31,9 @@ class ParameterCovariance(ByValue):
     ----------
     factor : (number, number) lower triangle L, in the units of the numbers
     following : (output,) matrices M (weight, number)
-    fitted : numbers, counted from 0, that were fitted; the others were given, and differ from the actuator's
-        by as much as explains what the model leaves of the records
-    open : of those fitted, the ones whose value the records do not tell better than their neighbours do
+    fitted : indices of the fitted numbers; the others were given, and their errors explain the residual of
+        the records
+    open : indices of fitted numbers that the records do not determine better than the neighbours do
     """
 
     factor: Array
@@ -103,9 +103,9 @@ def with_beside_weights(
 def drawn_blocks(
     hysteresis: Hysteresis[Any], dynamics: Dynamics, known: ParameterCovariance | None, generator: Normals
 ) -> tuple[Hysteresis[Any], Dynamics]:
-    """Return other blocks, as far from these as the errors of their parameters tell.
+    """Return random blocks, drawn with the errors of the parameters.
 
-    known : of what stands beside the weights; that stays as it is if not given
+    known : covariance of the other parameters, which stay as they are if it is not given
 
     Raises InputError where the covariance of the weights is not known.
     """

@@ -258,7 +258,8 @@ class HammersteinModel(ByValue, NotebookRepr):
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights (output, input) [um] of the settled loops at slow voltages of an amplitude [V].
 
-        Linear dynamics have unit gain where the static block was found; a loop with hysteresis has its own.
+        Linear dynamics have unit gain at the frequency at which the static block was identified; a loop with
+        hysteresis has a gain of its own.
 
         amplitude_v : of all inputs, or of each of them (m,)
         """
@@ -397,7 +398,7 @@ TABLES = (".csv", ".txt", ".dat", ".npy", ".npz", ".mat", ".parquet", ".xlsx", "
 
 
 def model_text(name: str) -> str:
-    """Text of the model file of a packaged actuator, or of the file that is named.
+    """Text of the model file of a packaged actuator, or of a named file.
 
     Raises InputError for a name that is neither, and for a file that cannot be read or is too large.
     """
@@ -412,7 +413,7 @@ def model_text(name: str) -> str:
 
 
 def place_of(name: str) -> Path:
-    """Place of a packaged actuator, or of the file that is named.
+    """Path of a packaged actuator, or of a named file.
 
     Raises InputError for a name that is neither.
     """

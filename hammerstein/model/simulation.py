@@ -53,10 +53,7 @@ def within(limits: Range, wires: Sequence[Array], first: int, stop: int) -> bool
 
 
 def refuse_unbounded(name: str, wire: Array, sample_time_s: float) -> None:
-    """Refuse a wire (axis, sample) that leaves all bounds, or is not finite.
-
-    Raises SimulationError, which says where and when.
-    """
+    """Raise SimulationError, with axis and time, for a wire (axis, sample) that diverges or is not finite."""
     limits = limits_of(name)
     if wire.size == 0 or (limits.low <= wire.min() and wire.max() <= limits.high):  # never true for NaN
         return
@@ -212,7 +209,7 @@ class Response(NotebookRepr):
 class AppliedDrive(NamedTuple):
     """A part of the voltage (input, sample): requested [V], applied [V], and samples cut by the range.
 
-    left : (m,) which inputs have left the working point by then
+    left : (m,) inputs that have moved from the working point
     """
 
     requested_v: Array
@@ -235,7 +232,7 @@ class PlantState(NamedTuple):
     def as_dict(self) -> dict[str, Any]:
         """Return plain lists and numbers; the generator's state is one of them.
 
-        What a law has moved is left out: it is the law's memory that tells.
+        Inputs that a law has moved are not included; the memory of the law has them.
         """
         noise = self.noise.bit_generator.state
         return {"memory": self.memory.as_dict(), "linear": self.linear.tolist(), "noise": noise}
@@ -292,14 +289,14 @@ class Plant:
     ) -> tuple[Response, PlantState]:
         """Response to a part of the voltage, and the state after it.
 
-        A run cut in parts gives the same numbers as in one piece, to the last bit. The generator of the
-        noise is moved on, not copied.
+        A run in parts gives the same numbers as in one piece, to the last bit. The generator of the noise is
+        advanced, not copied.
 
         Parameters
         ----------
         requested_v : (input, sample) voltage [V]
         start : state before the first sample
-        reference_um : (output, sample) what was asked for [um], where a law asks for the voltage
+        reference_um : (output, sample) reference [um], if the voltage comes from a law
         """
         driven = self.driven(requested_v, reference_um is not None, start.left)
         return self.follow(driven, start, reference_um)
@@ -313,9 +310,9 @@ class Plant:
     ) -> AppliedDrive:
         """Output of the drive for a voltage (input, sample).
 
-        by_law : whether a law asks for it, that stays within the range itself
-        left : (m,) which inputs have left the working point before; it may itself be an end of the range
-        out : (input, sample) where the voltages are put that leave the drive; a new array if not given
+        by_law : whether the voltage comes from a law, which keeps within the range itself
+        left : (m,) inputs that have moved from the working point before; it may be an end of the range
+        out : (input, sample) array for the output voltages; a new one if not given
         """
         asked = np.ascontiguousarray(requested_v, dtype=np.float64)
         drive_v, saturated = self.instruments.drive.apply(asked, out)
@@ -333,7 +330,7 @@ class Plant:
     def follow(
         self, driven: AppliedDrive, start: PlantState, reference_um: Array | None = None
     ) -> tuple[Response, PlantState]:
-        """Response to what has left the drive, and the state after it; see ``carry_on``."""
+        """Response to the output of the drive, and the state after it; see ``carry_on``."""
         samples = driven.drive_v.shape[1]
         p = self.model.hysteresis.n_outputs
         paths = [] if reference_um is None else [reference_um]

@@ -40,9 +40,9 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
 
         y[k] = outputs of step(u[k], x[k]),    x[k+1] = state after it
 
-    The state vector holds what the block remembers before the sample; zero is the block at rest, so that
-    ``control.input_output_response`` starts from rest by itself. Nothing is hidden: the same state
-    and input give the same output, however often python-control asks.
+    The state vector is the memory of the block before the sample. Zero is the block at rest, so
+    ``control.input_output_response`` starts from rest. There is no hidden state: the same state and input
+    give the same output, however often python-control evaluates them.
 
     Parameters
     ----------

@@ -14,15 +14,15 @@ LIMBS, BITS = 4, 32  # a lone whole number, such as the state of a random genera
 
 
 class Packing:
-    """Where each number of some plain data stands in a vector.
+    """Position of each number of plain data in a vector.
 
-    The vector holds the difference to the data it was made from: zero is that data. The difference is exact
-    where that data holds zeros and whole numbers, as a state at rest does.
+    The vector is the difference from the data that it was made from, so zero is that data. The difference is
+    exact for zeros and whole numbers, as in a state at rest.
 
     Parameters
     ----------
-    like : dictionaries, and lists of them, of numbers, lists of numbers, and words; all that is packed
-        has its shape
+    like : dictionaries, and lists of them, of numbers, lists of numbers, and words; all packed data must have
+        this shape
 
     Examples
     --------
