@@ -190,7 +190,7 @@ def _entry(
     best: Fitted,
     records: tuple[tuple[Record, ...], tuple[Record, ...]],
 ) -> Compared:
-    """Everything that is said of one model."""
+    """All results of one model."""
     ready, held = records
     return Compared(
         name=one.name,

@@ -47,12 +47,12 @@ class Fitted:
 
     Parameters
     ----------
-    name : what it is called in tables
+    name : name in tables
     hysteresis : its kind, ``none`` for a linear model
-    model, candidate : the model, and what predicts records with it
-    starts, held_starts : how the records began, as that identification found
-    flags : what it cannot represent
-    seconds : of one processor, of the identification that it came from; plays and linear models come from one
+    model, candidate : the model, and its form that predicts records
+    starts, held_starts : initial states of the records, from that identification
+    flags : effects that it cannot represent
+    seconds : processor time of its identification [s]; plays and linear models come from the same one
     """
 
     name: str
@@ -99,15 +99,15 @@ def fit_all(
     jobs: Jobs,
     progress: Progress,
 ) -> tuple[list[Fitted], list[Failed]]:
-    """Every kind of hysteresis without a linear block, and with the one that suits it.
+    """Identify every kind of hysteresis without a linear block, and with the linear block that suits it.
 
-    That is what ``identify`` finds behind the kind itself; from records at a single rate, the one that was
-    found with plays.
+    ``identify`` finds that block with the kind itself; for records at a single rate, it is the one found with
+    plays.
 
     Parameters
     ----------
-    records, settings, validation : as for ``identify``; the kind of hysteresis in the settings is passed by
-    jobs : identifications side by side, or an executor that takes them
+    records, settings, validation : as for ``identify``; the kind of hysteresis in the settings is not used
+    jobs : number of parallel identifications, or an executor for them
     progress : see ``Progress``
 
     Raises
@@ -158,7 +158,7 @@ def _worked_off(
     progress: Callable[[str, int], None],
     before: int = 0,
 ) -> list[_Given]:
-    """What each gave, in the order of what was asked, some of them worked out side by side."""
+    """Results in the order of the requests, some computed in parallel."""
     tasks = [partial(_identified, tuple(records), tuple(validation), one) for one in asked]
     waiting = [one.name for one in asked]
 
@@ -183,7 +183,7 @@ def _crew(jobs: Jobs, tasks: int) -> AbstractContextManager[Jobs]:
 
 
 def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], asked: _Asked) -> _Given:
-    """One identification; what a person can mend is what it gave, a fault of ours is not."""
+    """One identification; its result may be an error that a user can correct, other errors are raised."""
     _use_once(asked.hysteresis)
     begun = time.process_time()
     try:
@@ -209,7 +209,7 @@ def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], ask
 
 @cache
 def _use_once(kind: str) -> None:
-    """Load and compile what a kind needs, which is no part of the time that its identification takes."""
+    """Load and compile the code of a kind, so that this does not count as identification time."""
     turn = np.linspace(0.0, 6.0, WARM_SAMPLES) ** 2
     u = np.sin(turn) * np.linspace(1.0, 0.6, WARM_SAMPLES)
     record = Record(u[None], (u + np.sin(turn - 0.2))[None], 1e-3)

@@ -34,10 +34,10 @@ MOST_SAMPLES = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """The law that suits a model best: an exact one, else one without inversion, else none.
+    """The best law for a model: an exact inverse, else one without inversion, else none.
 
-    options : the law; None where none works; exact : whether it inverts the model
-    words : what is said of it
+    options : the law; None if none works; exact : whether it inverts the model
+    words : description, or the reason why there is none
     """
 
     options: Compensator | None
@@ -72,10 +72,10 @@ def _range(model: HammersteinModel) -> DriveRange:
 def left_by(one: Fitted, law: Inverse, other: Fitted, records: Sequence[Record]) -> Left:
     """Error of the compensator of one model on another model.
 
-    The path is what the other model says to the voltages of the records, from rest; the law of the first one
-    computes the voltages for it, and these are played on the other.
+    The path is the response of the other model to the voltages of the records, from rest. The law of the
+    first model computes the voltages for this path, and the other model responds to them.
 
-    other : the model that predicts best, the same for all; nothing is told of that one itself
+    other : the model that predicts best, the same for all; it has no error itself
     """
     if law.options is None:
         return Left(reason=law.words)

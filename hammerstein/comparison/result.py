@@ -37,10 +37,10 @@ third one for what the model that stands for the actuator misses itself."""
 class Left:
     """Error of the compensator of a model on another model.
 
-    law : which one; on : name of the model that stands for the actuator
-    percent : rms error about its mean in percent of the range of the path, mean of the outputs; None where
-        the law cannot work
-    at_range_percent : part of the samples in which a voltage stands at the range
+    law : name of the law; on : name of the model that replaces the actuator
+    percent : rms error about its mean in percent of the range of the path, mean of the outputs; None if the
+        law cannot work
+    at_range_percent : part of the samples in which a voltage is at the range
     reason : why there is no number
     """
 
@@ -57,22 +57,22 @@ class Compared:
 
     Parameters
     ----------
-    name : what it is called
+    name : name in tables
     hysteresis : its kind of hysteresis, ``none`` for a linear model
     dynamics : its linear block, in words
-    parameters : free numbers
+    parameters : number of free parameters
     fitted, held : errors on fitted and on validation records; None if there are none
-    fitted_at, held_at : the same of the records at one frequency [Hz]
-    folds_percent : its error on parts of the fitted records that were left out in turn, in percent of the
-        range: by it the model is recommended
+    fitted_at, held_at : the same errors for the records at each frequency [Hz]
+    folds_percent : cross-validation error on the fitted records in percent of the range; it decides the
+        recommendation
     as_good : whether that is within 2 % or one standard error of the least
-    seconds : of its identification; that with plays gives the linear models, too
+    seconds : identification time [s]; plays and linear models share one identification
     ns_a_sample : time of one sample of the model, all outputs together [ns]
     has_inverse : whether a compensator inverts it exactly
     inverse : that law, or why there is none
-    left : what its compensator leaves
-    flags : what it cannot represent
-    model : to be saved, simulated, compensated
+    left : error of its compensator
+    flags : effects that it cannot represent
+    model : the model, to save, simulate and compensate
     """
 
     name: str

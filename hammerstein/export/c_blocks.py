@@ -57,11 +57,11 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class CPart:
-    """What the templates of a part need; parts add up to a law.
+    """Input of the templates of a part; parts add up to a law.
 
     sizes, tables, indices : constants of the code; indices are tables of whole numbers
-    start : members of the memory, as they are at the start
-    values : what else the templates ask for
+    start : initial values of the members of the memory
+    values : other values for the templates
     """
 
     sizes: tuple[Size, ...] = ()
@@ -84,10 +84,10 @@ class CPart:
 def c_block_of(hysteresis: object, state: object) -> CPart:
     """Forward block of a kind of hysteresis, from a state on.
 
-    A kind that is added registers itself here, and says by ``hysteresis`` which template of ``parts`` is its
-    own: macros ``types``, ``memory`` (members of the memory, ``start`` fills them), ``functions``, and
-    ``call``, which turns ``u[M]``, relative to the working point, into ``v[ROWS]``. ``helpers`` names those
-    of ``least`` and ``most`` that it calls.
+    A new kind registers itself here; ``hysteresis`` names its template in ``parts``. The template has the
+    macros ``types``, ``memory`` (members of the memory, filled by ``start``), ``functions``, and ``call``,
+    which turns ``u[M]``, relative to the working point, into ``v[ROWS]``. ``helpers`` lists which of
+    ``least`` and ``most`` it calls.
 
     Raises
     ------
@@ -280,7 +280,7 @@ def _(hysteresis: RateDependent, state: RateState) -> CPart:
 
 
 def _flattening(lam: Any) -> CPart:
-    """The logarithm by which growth flattens, where it does: one of our own, for there is no libm."""
+    """Logarithm for growth that flattens, if it does; our own code, because there is no libm."""
     if not lam.any():
         return CPart(values={"flattens": False})
     return CPart(
@@ -346,7 +346,7 @@ def c_moving_block_of(hysteresis: Any, state: Any) -> CPart:
 
 @c_moving_block_of.register
 def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
-    """Stack of segments, with what those below each of them add."""
+    """Stack of segments, with the contribution of the segments below each."""
     rows = hysteresis.bank.r.shape[1] + 1
     plays = [
         {

@@ -62,9 +62,9 @@ class CCode:
 
     Parameters
     ----------
-    request : what was asked for
+    request : options of the export
     model : the model
-    block : the law as it was designed, or the model as a block
+    block : the designed law, or the model as a block
     """
 
     request: Request
@@ -130,7 +130,7 @@ class CCode:
         return self._rendered("law.h.jinja", None)
 
     def source(self, measured: MeasuredCode | None) -> str:
-        """Text of the source; what was measured stands at its top."""
+        """Text of the source, with the measured figures at its top."""
         return self._rendered("law.c.jinja", measured)
 
     def context(self) -> dict[str, Any]:
@@ -156,7 +156,7 @@ class CCode:
         }
 
     def title(self) -> str:
-        """Say what it is in a line."""
+        """Return one line that says what it is."""
         what = "the model itself" if self.is_model else f"law {self.request.law}"
         return f"{what} of {self.model.name}"
 
@@ -187,7 +187,7 @@ class CCode:
         return c_law_of(self.block)
 
     def _last(self) -> Array:
-        """What stands at the output before the first sample."""
+        """Output before the first sample."""
         return np.zeros(self.block.n_outputs) if self.is_model else self.block.range.start_v
 
     # ---- what stands at the top ----
@@ -271,7 +271,7 @@ class _Written:
 
 
 def _verdict(model: HammersteinModel) -> str:
-    """What its identification says of the model."""
+    """Verdict of the identification of the model."""
     verdict = model.verdict
     if verdict is None:
         return "none; the model file does not state how it was identified."
@@ -282,7 +282,7 @@ def _verdict(model: HammersteinModel) -> str:
 
 
 def _left_by_dynamics(model: HammersteinModel, sample_time_s: float) -> str:
-    """What a law leaves of sines that takes the dynamics for none, and from which frequency on."""
+    """Error of a law without dynamics on sines, and the frequency from which it matters."""
     hertz = np.geomspace(1e-3, 0.5 / sample_time_s, LAG_POINTS)
     lag = discretise(model.dynamics, sample_time_s).lag(hertz)
     ends = [(share, hertz[np.argmax(lag > share)]) for share in LAGS if (lag > share).any()]

@@ -103,7 +103,7 @@ class Library:
         return getattr(self._library, f"{self.shape.name}_{name}")
 
     def respond(self, entering: Array, law: Any = None) -> tuple[Array, int]:
-        """What leaves (axis, sample), and the most operations of a step if they are counted."""
+        """Output (axis, sample), and the most operations of a step if they are counted."""
         law = law or self.rest()
         kind = np.float64 if self.shape.real == "double" else np.float32
         into = np.ascontiguousarray(entering.T, dtype=kind)

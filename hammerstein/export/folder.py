@@ -33,7 +33,7 @@ SEARCHED = 100_000
 
 
 class ExportFile(Strict):
-    """What made an export, and what was measured then."""
+    """Request of an export, and its measured figures."""
 
     request: Request
     measured: MeasuredCode
@@ -112,7 +112,7 @@ def measure(code: CCode, signal: Array, output: Array) -> MeasuredCode:
 
 @dataclass(frozen=True)
 class WrittenCode:
-    """What was written: names of the files, what a person must know, and files that were kept aside."""
+    """Result of writing: names of the files, notes for a person, and files that were kept aside."""
 
     files: tuple[str, ...]
     statements: tuple[str, ...]
@@ -135,12 +135,12 @@ def write_export(
 
 
 def check_export(folder: Path) -> list[str]:
-    """Make an export again from what lies beside it; gives the names of its files.
+    """Repeat an export from its own files; return their names.
 
     Raises
     ------
     InputError : the folder holds no export
-    ToleranceError : a file differs from what is made now
+    ToleranceError : a file differs from the new one
     """
     place = folder / REQUEST_FILE
     try:

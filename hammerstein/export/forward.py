@@ -40,7 +40,7 @@ class ForwardModel:
     preview_samples = 0
 
     def statement(self) -> str:
-        """Say what must hold before the first sample."""
+        """State the conditions before the first sample."""
         return "Before the first sample the actuator rests at its working point."
 
     def rest(self) -> ForwardState:

@@ -84,13 +84,13 @@ LEVELS = 40  # from the middle to the reach, and a quarter of that beyond it
 def worst_case_step(operations: Callable[[Array], int], reach: Array) -> tuple[int, int]:
     """Most operations of a step that a climbing search finds, and the samples it tried.
 
-    Sequences of levels are changed in a few samples at a time, and kept where their dearest step is no
-    cheaper: what is dear is a jump that many turns lead up to. Every other search jumps to the ends of the
-    reach only: the longest jumps cost most where blocks stand side by side.
+    The search changes sequences of levels in a few samples at a time, and keeps a change if the most
+    expensive step is no cheaper. Jumps after many turns are expensive. Every other search only jumps to the
+    ends of the reach, because the longest jumps cost most with parallel blocks.
 
     Parameters
     ----------
-    operations : the dearest step of a signal (axis, sample) from the start
+    operations : operations of the most expensive step of a signal (axis, sample) from the start
     reach : (axis,) largest value of each axis
     """
     rng, axes, worst = Uniform(seed=11), len(reach), 0

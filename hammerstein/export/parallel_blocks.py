@@ -19,9 +19,9 @@ SHARED = ("ROWS",)
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """A part of several: what its template gives, with ``_1``, ``_2`` ... behind every name of its own.
+    """One of several parallel parts: its template, with ``_1``, ``_2`` ... appended to each of its names.
 
-    part : as of a block that stands alone; number : counted from 1
+    part : as for a single block; number : counted from 1
     """
 
     part: CPart

@@ -45,7 +45,7 @@ class Request(Strict):
 
         Raises
         ------
-        InputError : options that do not fit, a range that is not finite, or a law that reads the sensor
+        InputError : invalid options, a range that is not finite, or a law that reads the sensor
         SimulationError : a law that cannot work
         IdentificationError : a model that its own fit report flags
         """

@@ -45,9 +45,8 @@ def _sum(values, samples):  # type: ignore[no-untyped-def]
 
 @helper()
 def _top(values, samples):  # type: ignore[no-untyped-def]
-    """Bits of the largest of the first samples, none below zero: such numbers are in the order of their bits.
-
-    As whole numbers they are compared eight times as fast; above all of them is what is not a number.
+    """Bits of the largest of the first samples, which are not negative: such numbers have the order of their
+    bits. Integers are compared eight times as fast, and NaN is above all of them.
     """
     bits, found = values.view(np.int64), np.int64(0)
     for t in range(samples):

@@ -147,13 +147,13 @@ class Metric:
     """One figure of merit.
 
     name : its column, with the unit at its end
-    meaning : what a reader must know of it, with the unit
+    meaning : explanation for a reader, with the unit
     of : its value for the measured window of a case
-    ratio_of : name of the figure that it is a ratio to: where that is zero, it is last bits over last bits
-    exact : whether it is a count, which no tolerance lets move
-    drawn : whether an uncertain actuator gives a band of it, where every run has it
-    asked_by : kind of assessment that alone wants it, as of one publication; empty: every run has it
-    heading : of its column beside the distance and the radius of a path; empty: it has none there
+    ratio_of : name of the figure in the denominator; if that is zero, this figure is rounding error
+    exact : whether it is a count, which has no tolerance
+    drawn : whether an uncertain actuator gives a band of it
+    asked_by : kind of assessment that alone needs it, such as one publication; empty: every run has it
+    heading : heading of its column beside the distance and the radius of a path; empty: no column
     """
 
     name: str

@@ -140,7 +140,7 @@ def _loaded(variables: Variables, name: str) -> Array:
 
 
 def _reason(error: Exception) -> str:
-    """What a library says of a damaged file, as far as a person can read it."""
+    """Error message of a library for a damaged file, without parts that a person cannot read."""
     text = str(error).partition("\n")[0]
     if re.search(r"pickle|Python objects|Object arrays", text):
         return "it contains other things than numbers"

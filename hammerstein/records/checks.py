@@ -1,6 +1,6 @@
 """Checks of measured records: each mistake with its column, row and remedy.
 
-All functions return mistakes instead of raising them, so that one message can tell all of them.
+All functions return mistakes instead of raising them, so that one message can list all.
 """
 
 from __future__ import annotations
@@ -128,10 +128,10 @@ def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
 
 
 def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -> Iterator[Mistake]:
-    """Outputs that stay at an extreme value while the voltages move on.
+    """Outputs that stay at an extreme value while the voltages change.
 
-    A hysteretic output also stands still right after a reversal, but only while the voltage moves away
-    from the extreme; a quantised one stands still for about one step. Neither counts.
+    A hysteretic output is also constant just after a reversal, but only while the voltage moves away from the
+    extreme. A quantised output is constant for about one step. Neither counts.
     """
     for name, column in zip(names, y, strict=True):
         places = [*_clipped(u, column, 1.0), *_clipped(u, column, -1.0)]

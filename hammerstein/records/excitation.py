@@ -50,9 +50,9 @@ def driven_alone(record: Record, k: int, start: int, stop: int) -> bool:
 
 
 def dead_start(record: Record) -> int:
-    """Samples before the last one at which every driven voltage still stands at its first value.
+    """Samples before the last one at which every driven voltage still has its first value.
 
-    None where an output moves on under the held voltage: how it rings and creeps tells its dynamics.
+    Zero if an output still moves at the constant voltage, because ringing and creep show its dynamics.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def _held(record: Record) -> int:
 
 
 def _rests(still: Array, whole: Array) -> bool:
-    """Whether an output shows no more than its noise while the voltage stands still."""
+    """Whether an output shows only noise while the voltage is constant."""
     if len(still) < FEWEST_AT_REST:
         return True
     noise = max(noise_rms(whole), quantum(whole), RESTING * float(np.ptp(whole)))

@@ -61,11 +61,12 @@ class Fault(NamedTuple):
     Parameters
     ----------
     source, outputs : record and names of the outputs
-    text : what it is, with rows and what to do
-    drift_um : how far the output drifts [um]; 0 if that is not the fault
-    bent_um : rms error of plays alone [um], where the fault is that they do not saturate; 0 if it is not
-    hump_um : how far the first output rises or falls and returns while a voltage is constant [um], and
-    held : first and last sample of that; 0 if that is not the fault
+    text : description, with rows and remedy
+    drift_um : drift of the output [um]; 0 for other faults
+    bent_um : rms error of plays alone [um], if the output saturates; 0 for other faults
+    hump_um : rise or fall, and return, of the first output while a voltage is constant [um]; 0 for other
+        faults
+    held : first and last sample of that constant voltage
     """
 
     source: str
@@ -112,8 +113,8 @@ def faults(record: Record) -> list[Fault]:
 class _Trial(NamedTuple):
     """One output fitted as it is, with a trend in time, with a bend of the output, and with both.
 
-    ``position`` is where the output stands between its ends by the plain fit, from -1 to 1; ``reach`` half
-    the way between them [um]. Each fit is its weights, the added ones last, and the rms that it leaves [um].
+    ``position`` is the output of the plain fit between its ends, from -1 to 1; ``reach`` is half of its range
+    [um]. Each fit consists of its weights, the added ones last, and its rms error [um].
     """
 
     position: Array
@@ -180,7 +181,7 @@ def _saturation(trial: _Trial, largest_um: float, rows: Indices) -> str:
 
 
 def _clipped_commands(record: Record, stride: int, blocks: dict[int, Array]) -> Iterator[Fault]:
-    """Outputs that stand still while the command goes on beyond a limit, and start again where it returns."""
+    """Outputs that are constant while the command exceeds a limit, and move again when it returns."""
     readings = record.y_um[:, ::stride]
     x = np.vstack([*blocks.values(), np.ones((1, readings.shape[1]))])
     products = Products.of(np.vstack([x, readings]))

@@ -233,7 +233,7 @@ def _closed(u: Array, cycle: Excursion) -> bool:
 
 
 def move_at_once(record: Record) -> bool:
-    """Whether several inputs move, none of them through a cycle alone, so that no loop is one pair's."""
+    """Whether several inputs move and none has a cycle alone, so that no loop belongs to a single pair."""
     driven = driven_inputs(record)
     return len(driven) > 1 and not any(widest_cycle(record, k) for k in driven)
 

@@ -1,8 +1,8 @@
-"""MATLAB files of version 5 to 7.2, read with every length checked against what is there.
+"""MATLAB files of version 5 to 7.2, read with every length checked against the file.
 
-A damaged file ends in an error here, never in the process: SciPy's reader, compiled, dies of some. Arrays of
-numbers, texts, cells and structures come out as SciPy gives them; sparse matrices, objects and functions are
-left out.
+A damaged file raises an error. SciPy's compiled reader crashed the process on some damaged files. Arrays of
+numbers, texts, cells and structures are returned as SciPy returns them; sparse matrices, objects and
+functions are skipped.
 
 Source: The MathWorks, MAT-File Format (2015), chapter 1.
 """
@@ -38,7 +38,7 @@ UNREAD = object()
 
 
 class Element(NamedTuple):
-    """One piece of a file: what its tag says, and its content."""
+    """One element of a file: its tag and its content."""
 
     kind: int
     data: memoryview
@@ -52,7 +52,7 @@ class Reader:
         self.left = most_bytes
 
     def spend(self, size: int) -> None:
-        """Count what comes out of the file; ValueError beyond what it may be in all."""
+        """Count the bytes read; ValueError beyond the limit."""
         self.left -= size
         if self.left < 0:
             raise ValueError(
@@ -183,8 +183,8 @@ def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
 
     Parameters
     ----------
-    path : file, of which ``is_matlab_v5`` holds
-    most_bytes : what all of it may unfold to
+    path : file for which ``is_matlab_v5`` is true
+    most_bytes : limit of the unpacked size
 
     Raises
     ------

@@ -26,8 +26,8 @@ def noise_rms(x: ArrayLike) -> float:
 
         noise = min over k of median |difference_k| / (0.6745 sqrt(binomial(2 k, k)))
 
-    The median keeps corners (triangles, reversals of a hysteretic output) out of it. Quantisation that
-    moves with the signal is counted as the noise that it is.
+    The median excludes corners (triangles, reversals of a hysteretic output). Quantisation that moves with
+    the signal counts as noise.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def noise_rms(x: ArrayLike) -> float:
 
     Returns
     -------
-    rms value in the unit of x; 0 for fewer than 20 samples, where nothing can be told
+    rms value in the unit of x; 0 for fewer than 20 samples
 
     Examples
     --------
@@ -56,7 +56,7 @@ def noise_rms(x: ArrayLike) -> float:
 
 
 def quantum(x: ArrayLike) -> float:
-    """Step of the lattice on which all samples stand; 0 if they stand on none.
+    """Step of the lattice on which all samples lie; 0 if there is none.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Outliers: lost cells, spikes and glitches are detected, excluded and listed.
 
-A sample is suspected where its column jumps away and back, or leaves the range of all others. It is left out
-where a robust fit of the outputs says so: plays and delayed copies of the voltages, fitted without the
-suspects, must miss an output there by far more than anywhere else; and a voltage is a spike only if the
-outputs are explained no worse without it. Sharp edges, pulses and ringing that the outputs follow stay.
+A sample is suspect if its column jumps away and back, or leaves the range of all others. A robust fit of the
+outputs decides: plays and delayed copies of the voltages, fitted without the suspects. A suspect output is
+excluded if its error is far larger than elsewhere. A suspect voltage is excluded if the outputs are explained
+as well without it. Sharp edges, pulses and ringing that the outputs follow are kept.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Products:
         return cls(gram, samples)
 
     def fit(self, columns: Sequence[int], target: int) -> tuple[Array, float]:
-        """Weights of some signals that make up another one best, and the rms of what they leave.
+        """Weights of signals that fit another signal best, and the rms error.
 
         Examples
         --------
@@ -168,8 +168,8 @@ class Mended(NamedTuple):
 def without_outliers(u: Array, y: Array) -> Mended:
     """Voltages (input, sample) [V] and displacements (output, sample) [um] with outliers replaced.
 
-    A lost voltage is bridged by a straight line; a lost displacement by the robust fit, shifted by what it
-    misses on both sides, so that it has next to no weight in any later fit.
+    A straight line replaces a lost voltage. The robust fit replaces a lost displacement, shifted by its error
+    on both sides, so that the sample has nearly no weight in later fits.
 
     Examples
     --------
@@ -261,7 +261,8 @@ def listed(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> l
 def _suspects(x: Array) -> Flags:
     """Samples that leave the range of the others, or jump away and back; none if they are too many.
 
-    What makes up more than one percent of a record is how it was driven: the upper level of a pulse train.
+    More than one percent of a record is no outlier but part of the drive, such as the upper level of a pulse
+    train.
     """
     suspects = _all_suspects(x)
     return suspects if np.count_nonzero(suspects) <= max(MOST * len(x), 1) else np.zeros_like(suspects)
@@ -366,7 +367,7 @@ def _large_error(error: Array, aside: Flags) -> Array:
 
 
 def _usual_error(residual: Array, aside: Flags) -> Array:
-    """Median size of what a fit leaves (output,), away from the samples set aside."""
+    """Median absolute error of a fit (output,), without the excluded samples."""
     return np.array(
         [
             np.median(np.abs(row[~flags])) if not flags.all() else np.inf

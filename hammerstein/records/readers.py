@@ -47,11 +47,11 @@ class Columns:
     Parameters
     ----------
     source : the file
-    names : name of each column, none of them twice
+    names : unique name of each column
     values : (column, sample), not finite where a number is missing
     rows : (sample,) row of each sample in the file, from 1
     mistakes : fields without a number
-    units : what the file writes as the unit of each column: its name, or a row of units
+    units : unit of each column as the file states it, in its name or in a row of units
     """
 
     source: str

@@ -146,7 +146,7 @@ def _refuse_arguments(
 
 
 def _named_twice(chosen: Mapping[str, Sequence[str]]) -> Iterator[Mistake]:
-    """What each column that is named more than once is named as, and with which options."""
+    """Roles and options of each column that is named more than once."""
     named = [column for columns in chosen.values() for column in columns]
     for column in sorted({column for column in named if named.count(column) > 1}):
         kinds = " and ".join(f"{kind} (--{kind})" for kind, columns in chosen.items() if column in columns)

@@ -24,10 +24,10 @@ FARTHEST_LEAD_RAD = -0.8
 def lag_rad(records: Sequence[Record]) -> Array:
     """Phase by which each output lags each input [rad], over the slower half of the excitation.
 
-    The angle of the response S_yu S_uu^-1 with both spectra summed over all records and over the lines that
-    hold the slower half of the inputs' power, for a gain of either sign: between -pi/2 and pi/2. A
-    hysteresis loop of 15 percent width lags by about 0.15 rad; an output that *leads* by as much is a
-    voltage in truth. Solving for all inputs at once takes each one for what it does itself.
+    The angle of the response S_yu S_uu^-1, for a gain of either sign: between -pi/2 and pi/2. Both spectra
+    are summed over all records, and over the lines with the slower half of the inputs' power. A hysteresis
+    loop of 15 percent width lags by about 0.15 rad; an output that *leads* by as much is really a voltage.
+    Solving for all inputs at once separates their contributions.
 
     Parameters
     ----------
@@ -77,11 +77,11 @@ def _unit(signals: Array) -> Array:
 def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
     """Pairs (output, input) in which the output runs ahead of the input, as in swapped columns.
 
-    Only the output that responds most to an input is judged, and only a lead of 0.03 to 0.8 rad at a positive
-    gain: beyond that, a lead cannot be told from the lag of a resonance. It must lead over the whole band
-    that the records excite, too, by power: a slow line says nothing against a strong one that lags. Nor is
-    an output judged that hardly looks like the input, such as a butterfly. Where the inputs cannot be told
-    apart (one circle), a cross-coupling looks like a lead on one axis, so that all must lead.
+    Only the output that responds most to an input counts, and only a lead of 0.03 to 0.8 rad at a positive
+    gain: a larger lead looks like the lag of a resonance. The output must also lead over the whole excited
+    band, weighted by power, so that a weak slow line does not outweigh a strong line that lags. An output
+    that hardly resembles the input, such as a butterfly, does not count. If the inputs cannot be separated
+    (one circle), a cross-coupling looks like a lead on one axis; then all outputs must lead.
 
     Parameters
     ----------

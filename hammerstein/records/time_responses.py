@@ -25,7 +25,7 @@ def records_of_time_response(
     Parameters
     ----------
     data : voltages [V] and displacements [um] over a uniform time [s]
-    inputs, outputs : labels of voltages and displacements; all signals if not given
+    inputs, outputs : labels of voltages and displacements; default: all signals
 
     Raises
     ------

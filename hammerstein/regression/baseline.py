@@ -58,8 +58,8 @@ class Baseline:
 
         Raises
         ------
-        SimulationError : a number is infinite or NaN, so that nothing could be compared with it
-        InputError : two rows cannot be told apart
+        SimulationError : a number is infinite or NaN
+        InputError : two rows have the same key
         """
         rows = numbers_of(report)
         for key, numbers in rows.items():
@@ -151,7 +151,7 @@ def numbers_of(report: Report) -> Numbers:
 
 
 def key_of(names: Mapping[str, str | float | None]) -> Key:
-    """Key of a row; what is empty tells nothing.
+    """Key of a row, without its empty fields.
 
     >>> key_of({"measured_axis": "y", "frequency_hz": 50.0, "amplitude_v": None})
     (('frequency_hz', 50.0), ('measured_axis', 'y'))

@@ -29,17 +29,17 @@ def check_files(
 ) -> CheckResult:
     """Run scenario files and compare each with ``<baseline_folder>/<scenario>.json``.
 
-    A scenario without a baseline is a finding, and so is a baseline without a scenario where a whole folder
-    is checked. A scenario that cannot be run does not keep the others from being checked.
+    A scenario without a baseline is a finding, and so is a baseline without a scenario if a whole folder is
+    checked. A scenario that cannot be run does not stop the others.
 
     Parameters
     ----------
     paths : scenario files, or folders of them
     baseline_folder : where the baselines are
     update : write the baselines instead of comparing them; otherwise nothing is written
-    jobs : scenarios side by side, or an executor that takes their cases; the numbers do not depend on it
-    progress : called with what is done, how much of it, and of how much
-    finished : called with the name of each scenario that is done
+    jobs : number of parallel scenarios, or an executor for their cases; the numbers do not depend on it
+    progress : called with the current step, the amount done, and the total
+    finished : called with the name of each finished scenario
     overwrite : whether an update replaces baselines that a person changed; otherwise they are kept aside
 
     Raises
@@ -108,7 +108,7 @@ def _checked(
 
 
 def _compare(report: Report, baseline: Path) -> dict[str, Any]:
-    """What differs from the baseline, and what is allowed."""
+    """Differences from the baseline, and tolerances."""
     if not baseline.is_file():
         return {"findings": (Finding(Kind.NO_BASELINE),)}
     accepted, tolerances = _load(baseline), report.scenario.tolerances

@@ -46,13 +46,13 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that differs from the baseline.
+    """One difference from the baseline.
 
-    kind : what it is
-    key : the row; empty where it is about the whole scenario
-    metric : the number; empty where it is about a row or the whole scenario
-    baseline, now : values of the number, None where it is missing; digests where something changed
-    tolerance : what was allowed
+    kind : kind of difference
+    key : row; empty for the whole scenario
+    metric : name of the number; empty for a row or the whole scenario
+    baseline, now : values of the number, None if missing; digests of changed content
+    tolerance : allowed change
     """
 
     kind: Kind
@@ -64,7 +64,7 @@ class Finding:
 
     @property
     def excess(self) -> float:
-        """Deviation in units of what is allowed; infinite for what has no size."""
+        """Deviation relative to the tolerance; infinite for a difference without size."""
         if not isinstance(self.baseline, (int, float)) or not isinstance(self.now, (int, float)):
             return math.inf
         allowed = limit(self.baseline, self.tolerance)
@@ -75,16 +75,16 @@ class Finding:
 def compare(
     report: Report, baseline: Baseline, tolerances: Mapping[str, Tolerance] | None = None
 ) -> tuple[Finding, ...]:
-    """Find everything in which a report differs from its baseline.
+    """Find all differences of a report from its baseline.
 
-    A number may move by the larger of the relative and the absolute tolerance, either way: better than the
-    baseline is a finding too. Rows and numbers are compared both ways; only a number that no row of the
-    baseline has is no finding (``new_columns``). NaN equals nothing.
+    A number may change by the larger of the relative and the absolute tolerance, up or down: a better number
+    is a finding, too. Missing and additional rows and numbers are findings, except a number that no row of
+    the baseline has (``new_columns``). NaN equals nothing.
 
     Parameters
     ----------
-    report : what a run found
-    baseline : what was accepted
+    report : report of a run
+    baseline : accepted numbers
     tolerances : by name of the number; others may move by 0.1 %, but 1e-6 (angles: 0.001 degrees) in any
         case, and ``saturated_samples`` not at all
 

@@ -34,16 +34,16 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class ScenarioCheck:
-    """What became of one scenario.
+    """Result of checking one scenario.
 
     path : scenario file; for an orphan its baseline file
-    numbers : how many were compared
-    findings : what differs
-    new_columns : numbers that the baseline does not have in any row; they are not compared yet
-    error : what stopped the run
+    numbers : how many numbers were compared
+    findings : differences
+    new_columns : numbers that no row of the baseline has; they are not compared yet
+    error : error that stopped the run
     written : with an update, whether the baseline had to be written; otherwise None
     kept : with an update, the new name of a baseline that a person had changed
-    accepted, now : numbers of the baseline, empty where nothing was compared, and of this run
+    accepted, now : numbers of the baseline, empty if nothing was compared, and of this run
     tolerances : by name of the number, where the scenario gives its own
     """
 
@@ -77,7 +77,7 @@ class ScenarioCheck:
         return self.error is None and not self.findings
 
     def lines(self, baseline_folder: Path) -> list[str]:
-        """Headline, table of what differs, and what to do."""
+        """Headline, table of differences, and remedy."""
         if self.error is not None:
             return [self.headline, *(f"  {line}" for line in str(self.error).splitlines())]
         if not self.findings:
@@ -234,7 +234,7 @@ def _cells(finding: Finding) -> dict[str, str]:
 
 
 def _change(finding: Finding, before: float, now: float) -> tuple[str, str]:
-    """Change and what was allowed: relative, or absolute where that is the larger bound."""
+    """Change and tolerance: relative, or absolute if that is the larger bound."""
     moved, tolerance = deviation(finding.metric, now, before), finding.tolerance
     if limit(before, tolerance) > tolerance.absolute:
         return f"{100.0 * moved / abs(before):+.2g} %", f"{100.0 * tolerance.relative:g} %"

@@ -1,8 +1,7 @@
 """Assessment of a scenario by expected results, such as those of a publication or a data sheet.
 
-Each kind plugs in (``register``, or the entry point group ``hammerstein.blocks``) and is a table
-``[assessment]`` of a scenario file, of some ``kind``. Runs, reports and baselines know no kind: they ask
-for what stands here.
+Each kind is a plug-in (``register``, or the entry point group ``hammerstein.blocks``) and a table
+``[assessment]`` of a scenario file. Runs, reports and baselines only use the interface below.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class Judgement(ABC):
 
     @abstractmethod
     def numbers(self) -> Iterator[tuple[Mapping[str, str], Mapping[str, float]]]:
-        """Finite numbers that a baseline guards: what tells each row from others, and its numbers by name."""
+        """Finite numbers for a baseline: the key of each row, and its numbers by name."""
 
     @abstractmethod
     def as_dict(self) -> dict[str, object]:
@@ -92,15 +91,15 @@ class Assessment(Strict, ABC):
     def judge(
         self, scenario: Any, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
     ) -> tuple[Judgement, ...]:
-        """What a run says.
+        """Judge a run.
 
         Parameters
         ----------
-        scenario, name : the ``Scenario`` that was run, and what its report is called
-        model, rows : the actuator that was simulated, and what was measured
-        store : where the results of further runs are kept and found
+        scenario, name : the ``Scenario`` that was run, and the name of its report
+        model, rows : the simulated actuator and the measured figures
+        store : store for the results of further runs
 
-        Raises InputError where it asks for what the run does not have.
+        Raises InputError if the run lacks something that it needs.
         """
 
     @abstractmethod
@@ -120,13 +119,13 @@ class Assessment(Strict, ABC):
 
     @classmethod
     def prepare(cls, out: Path, page: Path | None, overwrite: bool = False) -> None:
-        """Refuse folders that cannot take what ``write`` writes; InputError says why."""
+        """Raise InputError for folders into which ``write`` cannot write."""
 
     @classmethod
     def write(
         cls, reports: Sequence[Any], out: Path, page: Path | None, overwrite: bool = False
     ) -> tuple[Path, ...]:
-        """Write what stands over several reports that lie below ``out``; give files that were kept aside.
+        """Write a summary of several reports below ``out``; return files that were kept aside.
 
         Parameters
         ----------

@@ -67,7 +67,7 @@ class Study(Strict):
         return lengths[0] if self.how == "zip" else math.prod(lengths)
 
     def some(self, count: int) -> Iterator[dict[str, float]]:
-        """Values of so many runs that stand for all, or of all of them where there are no more."""
+        """Values of a given number of representative runs, or of all runs if there are fewer."""
         if self.samples is not None or self.count() <= count:
             yield from itertools.islice(self.points(), count)
             return

@@ -37,7 +37,7 @@ class _Given:
 
 
 class Parameter(NamedTuple):
-    """One thing that is uncertain: its name, how many normal numbers it takes, and whether it varies."""
+    """One uncertain parameter: its name, how many normal numbers it needs, and whether it varies."""
 
     name: str
     size: int

@@ -1,6 +1,6 @@
 """Test signals as frozen values: sine, triangle, circle, spiral, Lissajous, multisine, or a file.
 
-A signal has no unit of its own: it is a drive in V or a reference in um, as the scenario says.
+A signal has no unit of its own: the scenario uses it as a drive in V or as a reference in um.
 Every signal gives values (axis, sample) for an array of times.
 """
 
@@ -102,7 +102,7 @@ class Shape(Strict, ABC):
 
     @property
     def periodic(self) -> bool:
-        """Whether the signal has cycles, so that it can be left to settle."""
+        """Whether the signal has cycles, so that the response can settle."""
         return True
 
     @property
@@ -195,10 +195,9 @@ class Triangle(OnAxes):
 
 
 class Degauss(OnAxes):
-    """A sine for one period, then A (1 - (f t - 1) / cycles) sin(2 pi f t + phase) until nothing is left.
-
-    It erases what plays remember. From one peak to the next the amplitude falls by A / (2 cycles). A play
-    whose threshold is smaller than A ends within half of that of its middle, whatever came before.
+    """A sine for one period, then A (1 - (f t - 1) / cycles) sin(2 pi f t + phase), down to zero. It erases
+    the memory of plays. From one peak to the next, the amplitude falls by A / (2 cycles). A play with a
+    threshold below A ends within half of this step from its middle, whatever its past.
     """
 
     kind: Literal["degauss"] = "degauss"

@@ -95,15 +95,15 @@ def _factor(time: str) -> float:
 
 
 def chosen(path: str | Path, names: Sequence[str], axes: Sequence[str], kind: Kind, word: str) -> list[int]:
-    """Columns (axis,) of a table that hold these axes: by their names, or in their order where none has one.
+    """Columns (axis,) of a table for these axes: by their names, or in their order if no column has a name.
 
     Parameters
     ----------
     path : of the file, for messages
     names : of its columns beside ``time_s``
     axes : names of the axes
-    kind : what is wanted of them
-    word : what they hold in a file of ours, such as ``reference`` in ``reference_x_um``
+    kind : kind of quantity that is needed
+    word : their quantity in our own files, such as ``reference`` in ``reference_x_um``
 
     Raises
     ------

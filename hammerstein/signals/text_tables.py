@@ -66,7 +66,7 @@ WORD_WITH_UNIT = re.compile(r"\S+(?:\s+[\[(][^\])]*[\])])?")
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text file holds its numbers.
+    """Layout of the numbers in a text file.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def find_layout(path: Path) -> Layout:
 
 
 def _packed(path: Path) -> str:
-    """What to say of a file that is packed with gzip: whether it was cut, as far as it is looked through."""
+    """Message about a file packed with gzip: whether it is incomplete, as far as it was read."""
     try:
         with gzip.open(path) as file:
             for _ in range(UNPACKED_PARTS):
@@ -132,7 +132,7 @@ def _packed(path: Path) -> str:
 
 
 def _without_numbers(body: Sequence[str], lines: Sequence[str]) -> str:
-    """What to say of a text whose first lines hold no numbers: a lone header is the usual case."""
+    """Message about a text without numbers in its first lines, usually a header alone."""
     if len(body) == 1:
         return f"has one line and no numbers below it: {body[0].strip()[:80]}; export the samples, too"
     return f"has no line of numbers among its first {len(lines)} lines"
@@ -347,7 +347,7 @@ def _numbers_of(dialect: Dialect) -> dict[str, Any]:
 
 
 def _numbers(series: Any, dialect: Dialect) -> tuple[Array, dict[int, str]]:
-    """A column as numbers, and what stands where it has text instead."""
+    """A column as numbers, and its fields with text instead."""
     import pandas as pd
 
     if series.dtype.kind in "iuf":

@@ -46,7 +46,7 @@ class Unit(NamedTuple):
 
 
 def unit_of(word: str) -> Unit | None:
-    """Unit that a word stands for, in any case; None if it is none.
+    """Unit for a word in upper or lower case; None if it is not a unit.
 
     Examples
     --------
