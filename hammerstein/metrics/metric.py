@@ -66,16 +66,16 @@ def _rows(wire: Array) -> tuple[Array, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """The wires of one case over the samples that are measured, and what they are compared with.
+    """Signals of one case over the measured samples, and their targets.
 
-    reading_um, position_um : (output, sample) what the sensor says, and where the actuator is [um]
-    saturated : (input, sample) where the drive's range cut the voltage
-    target_reading_um, target_position_um : (output, sample) what reading and position are compared with: a
-        reference, or the prediction of a model [um]; None where there is nothing
-    reference_um : (output, sample) path that was asked for [um], where all axes are driven together
+    reading_um, position_um : (output, sample) reading of the sensor, and true position [um]
+    saturated : (input, sample) whether the drive's range cut the voltage
+    target_reading_um, target_position_um : (output, sample) target of reading and position: a reference, or
+        the prediction of a model [um]; None without one
+    reference_um : (output, sample) path [um], if all axes are driven together
     cycle_samples : samples of a cycle, where several equal ones of a whole number of samples are measured
     middle_um : (output,) middle of that path [um]; zero if not given
-    loops : (output,) loops of the readings against the one signal that is driven, where there is one
+    loops : (output,) loops of the readings against the driven signal, if there is only one
     """
 
     sample_time_s: float
