@@ -17,8 +17,11 @@ from hammerstein.hysteresis import (
     BoucWen,
     BoucWenPair,
     DeadZones,
+    Envelope,
+    Generalised,
     Pair,
     PrandtlIshlinskii,
+    Preisach,
     RateDependent,
     RatePlays,
 )
@@ -155,7 +158,7 @@ def _columns_along(hysteresis, k, rng, others):
     return (np.diff(y, axis=1)[:, moved] / step[moved]).T
 
 
-@pytest.mark.parametrize("kind", ["prandtl_ishlinskii", "asymmetric", "bouc_wen"])
+@pytest.mark.parametrize("kind", ["prandtl_ishlinskii", "asymmetric", "generalised", "preisach", "bouc_wen"])
 def test_determinants_keep_their_sign_along_walks_where_an_inverse_is_certified(kind):
     certified = 0
     for number in range(STAGES):
@@ -181,12 +184,14 @@ def _drawn(kind, rng, m):
     if kind == "bouc_wen":
         rows = [[_bouc_wen_pair(rng, 5.0 if o == k else 0.3) for k in range(m)] for o in range(m)]
         return BoucWen(rows)
+    if kind == "preisach":
+        return Preisach([-8.0] * m, [8.0] * m, [[_cells(rng, o == k) for k in range(m)] for o in range(m)])
     r = np.append(0.0, np.sort(rng.uniform(0.1, 9.0, 3)))
-    plays = PrandtlIshlinskii(
-        [[Pair(r, 2.0 * _weights(rng, 4, m, o, k)) for k in range(m)] for o in range(m)]
-    )
+    plays = PrandtlIshlinskii([[Pair(r, _any_weights(rng, o == k)) for k in range(m)] for o in range(m)])
     if kind == "prandtl_ishlinskii":
         return plays
+    if kind == "generalised":
+        return Generalised(tuple(_envelope(rng) for _ in range(m)), plays)
     zones = tuple(
         tuple(
             DeadZones(np.sort(rng.uniform(-9.0, 9.0, 2)), rng.normal(0.0, 0.4 if o == k else 0.1, 2))
@@ -195,3 +200,23 @@ def _drawn(kind, rng, m):
         for o in range(m)
     )
     return Asymmetric(plays, zones)
+
+
+def _any_weights(rng, direct):
+    """Of both signs; about half of their sums cross zero."""
+    weights = rng.normal(0.0, 0.6 if direct else 0.15, 4)
+    weights[0] = 10.0 ** rng.uniform(-1.0, 0.5) if direct else weights[0]
+    return weights
+
+
+def _cells(rng, direct):
+    """Weights of both signs below and on the diagonal, which a direct transfer outweighs."""
+    cells = np.tril(rng.normal(0.0, 0.15 if direct else 0.03, (6, 6)))
+    return cells + (rng.uniform(0.2, 2.0) * np.eye(6) if direct else 0.0)
+
+
+def _envelope(rng):
+    """Lines that bend within the range and before its ends, with a tangent every other time."""
+    knots = np.sort(rng.uniform(-9.0, 9.0, 4))
+    values = np.cumsum(np.append(0.0, np.diff(knots) * 10.0 ** rng.uniform(-1.0, 1.0, 3)))
+    return Envelope(knots, values, float(rng.choice([0.0, 3.0])), 0.5, float(rng.uniform(-3.0, 3.0)))
