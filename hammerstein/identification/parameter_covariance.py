@@ -116,12 +116,12 @@ def _scale(hysteresis: Hysteresis[Any], size: int) -> tuple[Array, int]:
 def _cells(r: Array) -> Array:
     """Standard deviation (place,) of a uniform distribution as wide as the nearest gap [V].
 
-    A threshold of 0 stands at its end.
+    A threshold of 0 stands at its end. A lone place has its distance from 0 V on both sides.
     """
     if not r.size:
         return np.empty(0)
     first = 0.0 if r[0] >= 0.0 else -np.inf
-    gaps = np.diff(r, prepend=first, append=np.inf if len(r) > 1 else 2.0 * r[0])
+    gaps = np.diff(r, prepend=first, append=np.inf if len(r) > 1 else r[0] + abs(r[0]))
     return np.asarray(np.where(r != 0.0, np.minimum(gaps[:-1], gaps[1:]) / np.sqrt(12.0), 0.0))
 
 

@@ -115,6 +115,22 @@ def test_a_threshold_of_no_weight_is_open():
     assert (np.delete(model.covariance.errors, 1) < 0.2 * model.covariance.errors[1]).all()
 
 
+def test_a_lone_breakpoint_is_as_unsure_below_the_working_point_as_above_it():
+    """Mirrored records, y(-u) = -y(u), have the mirrored model: below, its breakpoint passed for exact."""
+    t = np.arange(1200) / 300.0
+    u = np.sin(2.0 * np.pi * t)[None] * (2.4 + 0.4 * t)
+    y = theory.prandtl_ishlinskii(u, [[np.array([0.0, 0.8])]], [[np.array([3.0, 0.6])]])
+    y += 0.8 * np.maximum(u - 1.3, 0.0) + 0.01 * np.random.default_rng(1).standard_normal(y.shape)
+    settings = Settings(
+        hysteresis="asymmetric", operators=2, dead_zones=1, dynamics="none", error_curve=False
+    )
+    one, other = (identify([Record(sign * u, sign * y, T)], settings)[0] for sign in (1.0, -1.0))
+    breakpoints = [model.hysteresis.zones[0][0].breakpoints_v for model in (one, other)]
+    assert breakpoints[0] == pytest.approx(-breakpoints[1])
+    assert one.covariance.errors == pytest.approx(other.covariance.errors, rel=0.3)  # of eight draws
+    assert one.covariance.errors[-1] > 0.0
+
+
 def test_without_noise_there_is_no_error():
     assert (refitted(3, noise_um=0.0).covariance.errors < 1e-6).all()
 
