@@ -10,6 +10,10 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import CreepMode
 from hammerstein.errors import IdentificationError
 
+APART = 1e-6
+"""Smallest singular value of the regressors, in parts of the largest: below it, two modes have one time, and
+gains that cancel."""
+
 
 def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tuple[CreepMode, ...]:
     """Slow modes between the output of a static block and the reading of one axis.
@@ -54,7 +58,7 @@ def fit_creep(v_um: Array, y_um: Array, sample_time_s: float, modes: int) -> tup
 
     found = least_squares(residual, begin, bounds=limits, x_scale=1.0, xtol=1e-6, ftol=1e-10)
     columns = regressors(found.x)
-    weights, _, rank, _ = np.linalg.lstsq(columns.T, y_um, rcond=1e-12)
+    weights, _, rank, _ = np.linalg.lstsq(columns.T, y_um, rcond=APART)
     if rank < len(columns) or weights[0] <= 0.0:
         raise IdentificationError(
             f"a slow record of {span:g} s does not identify {modes} creep modes; record longer or fit fewer"

@@ -1,0 +1,42 @@
+"""Slow modes behind a known static block: those of the actuator where the record tells them, else refused."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from hammerstein.errors import IdentificationError
+from hammerstein.identification.linear.creep import fit_creep
+
+T = 0.1
+STEPS_UM = np.repeat([0.0, 10.0, -5.0, 20.0, 0.0], 600)
+
+
+def slow(v_um, time_constant_s):
+    """First-order lag of a held signal, exact on its grid."""
+    pole = np.exp(-T / time_constant_s)
+    return lfilter([0.0, 1.0 - pole], [1.0, -pole], v_um)
+
+
+def late(v_um):
+    return np.append(0.0, v_um[:-1])
+
+
+@pytest.mark.parametrize("gain", [0.5, 3.0])
+def test_gains_are_in_parts_of_the_fast_motion_whatever_the_offset(gain):
+    true = {2.0: 0.04, 40.0: 0.1}
+    y = gain * (late(STEPS_UM) + sum(g * slow(STEPS_UM, tau) for tau, g in true.items())) + 7.0
+    modes = fit_creep(STEPS_UM, y, T, 2)
+    assert [mode.time_constant_s for mode in modes] == pytest.approx(list(true), rel=1e-3)
+    assert [mode.gain for mode in modes] == pytest.approx(list(true.values()), rel=1e-3)
+
+
+def test_a_fast_motion_against_its_block_is_refused():
+    with pytest.raises(IdentificationError, match="does not identify 1 creep modes"):
+        fit_creep(STEPS_UM, 0.5 * slow(STEPS_UM, 20.0) - late(STEPS_UM), T, 1)
+
+
+def test_modes_that_all_end_at_one_time_are_refused():
+    """A drift in proportion to time has no time constant: both modes go to the longest there may be."""
+    v = np.repeat([0.0, 10.0], [5, 2995])
+    with pytest.raises(IdentificationError, match="does not identify 2 creep modes"):
+        fit_creep(v, late(v) + 0.002 * np.arange(3000), T, 2)
