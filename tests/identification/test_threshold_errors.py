@@ -7,7 +7,7 @@ import pytest
 import theory
 
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.dynamics import StaticDynamics
+from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.identification.identify import identify
@@ -129,6 +129,22 @@ def test_a_lone_breakpoint_is_as_unsure_below_the_working_point_as_above_it():
     assert breakpoints[0] == pytest.approx(-breakpoints[1])
     assert one.covariance.errors == pytest.approx(other.covariance.errors, rel=0.3)  # of eight draws
     assert one.covariance.errors[-1] > 0.0
+
+
+def test_the_errors_of_an_axis_in_the_report_are_those_in_the_model_file():
+    """They hold beside thresholds that are not sure; those of the axis alone are smaller."""
+    axes = AxesDynamics(axes=(Axis(resonance_hz=90.0, damping_ratio=0.1),))
+    plays = PrandtlIshlinskii([[Pair(R[0], W[0][0])]])
+    u = drives()[:1] + 0.8 * np.sin(2.0 * np.pi * 83.0 * T * np.arange(900))
+    y = HammersteinModel("m", plays, axes, 10.0, ("u",), ("x",)).simulate(u, T).position_um
+    y = y + 0.02 * np.random.default_rng(6).standard_normal(y.shape)
+    settings = Settings(
+        dynamics="second_order", creep_modes=0, operators=3, partition="fitted", error_curve=False
+    )
+    model, fit = identify([Record(u, y, T)], settings)
+    (axis,) = fit.axes
+    stated = [axis.resonance_error_percent, axis.damping_error_percent]
+    assert stated == pytest.approx(100.0 * model.covariance.errors[-2:])
 
 
 def test_without_noise_there_is_no_error():

@@ -10,6 +10,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
+from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.model import HammersteinModel, ModelFile
 from hammerstein.records.record import Record
@@ -144,3 +145,12 @@ def test_a_model_that_knows_errors_one_by_one_cannot_be_drawn():
     )
     with pytest.raises(InputError, match="does not state the covariance"):
         Uncertainty(weights="standard_errors").draw(model, Instruments(), 0)
+
+
+@pytest.mark.parametrize("columns", [2, 4, 9])
+def test_a_triangle_has_the_covariance_of_its_spread_and_no_negative_diagonal(columns):
+    spread = np.random.default_rng(columns).normal(size=(4, columns))
+    factor = triangle(spread)
+    np.testing.assert_allclose(factor @ factor.T, spread @ spread.T, atol=1e-12)
+    np.testing.assert_array_equal(np.triu(factor, 1), 0.0)
+    assert (np.diag(factor) >= 0.0).all()
