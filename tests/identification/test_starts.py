@@ -5,6 +5,7 @@ import pytest
 
 from hammerstein.errors import IdentificationError
 from hammerstein.identification import initialisation
+from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
     closed,
@@ -83,6 +84,16 @@ def test_a_beginning_is_not_over_before_anything_in_it_counts():
         found[0] for found in shortened([Record([u], [u], 1e-4)], [InitialState("rest", 30_000)], 2000)
     )
     assert start.first <= part.samples // 2
+
+
+@pytest.mark.parametrize(("part", "rests"), [(0.0, True), (0.008, True), (0.013, False), (0.4, False)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_voltage_begins_at_rest_within_a_hundredth_of_an_end_of_its_range(part, rests, sign):
+    """A record that begins in motion has its working point in the middle; so has one that is turned over."""
+    u = 80.0 * np.concatenate([np.linspace(part, 1.0, 50), np.linspace(1.0, 0.0, 50)])[None] * sign
+    record = Record(u, 0.1 * u, 1e-3)
+    found = voltages_of([record], [counted(record)], [InitialState("repeated", 50)])
+    assert found.working_point_v == pytest.approx([u[0, 0] if rests else 40.0 * sign])
 
 
 @pytest.mark.parametrize(("gap", "is_closed"), [(0.015, True), (0.025, False)])
