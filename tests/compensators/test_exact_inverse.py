@@ -278,3 +278,12 @@ def test_the_drive_does_not_depend_on_the_unit_of_length(scale):
 def _scaled(factor):
     block = PrandtlIshlinskii.from_arrays(theory.R_V, factor * np.array(theory.W_UM_PER_V))
     return HammersteinModel("scaled", block, StaticDynamics(n_outputs=2), 10.0, ("u", "v"), ("x", "y"))
+
+
+@pytest.mark.parametrize("gains", [[[5.0, 2.0, -1.0]], [[5.0, 0.5, 2.0], [-0.3, 4.0, 1.0]]])
+def test_of_all_drives_of_more_inputs_than_outputs_it_takes_the_smallest(gains):
+    """Of a model without hysteresis that is the pseudo-inverse of its gains."""
+    model = _model([[Pair([0.0], [gain]) for gain in row] for row in gains])
+    path = _path_with_minor_loops(np.random.default_rng(3), len(gains)) / 20.0
+    drive, _ = ExactInverseLaw(model, 1e3).respond(path)
+    np.testing.assert_allclose(drive, np.linalg.pinv(np.array(gains)) @ path, atol=1e-9)
