@@ -16,6 +16,8 @@ TWO_RATES = 1.5
 SWING, SWINGS, MOST_SWINGS = 0.05, 2, 500
 """Smallest swing that counts, in parts of the whole; how many must be shorter and faster than as many others;
 how many are compared, spread over the record."""
+LOWEST = 0.05
+"""Part of the power of a drive below its lowest frequency: a beginning or a drift has less."""
 PARTS = 8
 """Parts of a record of which the fastest rate is taken."""
 
@@ -36,6 +38,26 @@ def rates_of_input(records: Sequence[Record]) -> tuple[bool, ...]:
     return tuple(found)
 
 
+def lowest_hz(record: Record) -> float:
+    """Lowest frequency of what a record is driven with [Hz]: a twentieth of its power is slower.
+
+    Hysteresis answers at sums and differences of the frequencies of its drive, so the lines of its spectrum
+    are about as far apart: of one sine by its frequency, of several by much less.
+
+    Examples
+    --------
+    >>> t = np.arange(2000) / 1000.0
+    >>> u = np.sin(2.0 * np.pi * 50.0 * t)
+    >>> round(lowest_hz(Record([u], [u], 1e-3)), 1)
+    50.0
+    >>> u += 0.5 * np.sin(2.0 * np.pi * 15.0 * t)
+    >>> round(lowest_hz(Record([u], [u], 1e-3)), 1)
+    15.0
+    """
+    frequency_hz, power = _drive_spectrum(record.u_v, record.sample_time_s)
+    return float(frequency_hz[np.searchsorted(np.cumsum(power), LOWEST * power.sum())])
+
+
 def drive_hz(record: Record, input_: int | None = None) -> float:
     """Mean frequency of what a record is driven with, weighted with its power [Hz]; of all inputs, or of one.
 
@@ -46,9 +68,14 @@ def drive_hz(record: Record, input_: int | None = None) -> float:
     5.0
     """
     u = record.u_v if input_ is None else record.u_v[[input_]]
-    spectrum = np.abs(np.fft.rfft(u - u.mean(axis=1, keepdims=True), axis=1)) ** 2
-    frequency_hz = np.fft.rfftfreq(record.samples, record.sample_time_s)
-    return float((spectrum @ frequency_hz).sum() / spectrum.sum())
+    frequency_hz, power = _drive_spectrum(u, record.sample_time_s)
+    return float(power @ frequency_hz / power.sum())
+
+
+def _drive_spectrum(u: Array, sample_time_s: float) -> tuple[Array, Array]:
+    """Frequencies [Hz] and the power of all voltages about their means."""
+    lines = np.fft.rfft(u - u.mean(axis=1, keepdims=True), axis=1)
+    return np.fft.rfftfreq(u.shape[1], sample_time_s), np.sum(np.abs(lines) ** 2, axis=0)
 
 
 def _fast_and_slow(u: Array) -> bool:

@@ -19,11 +19,13 @@ from hammerstein.identification.linear.axis_search import checked_delay, search_
 from hammerstein.identification.linear.axis_steps import refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.delay import _part_of_a_sample
+from hammerstein.identification.rates import several_rates
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.verdict import axis_statements
 from hammerstein.records.record import Record
+from hammerstein.signals import Multisine, Sine
 
 T = 5e-5
 R = np.array([0.0, 1.0, 3.0, 6.0])
@@ -334,3 +336,24 @@ def test_a_resonance_among_the_harmonics_of_the_only_rate_is_not_told(rates_hz, 
     assert fit.identified is told
     said = [line for line in axis_statements(("x",), [fit]) if "first harmonics of the only rate" in line]
     assert bool(said) is not told
+
+
+@pytest.mark.parametrize("seed", [10, 11, 12, 18])
+def test_a_sine_and_a_slow_multisine_tell_a_resonance_whatever_its_phases(seed):
+    """Hysteresis answers at the sums and differences of many lines; a resonance explains two numbers of them.
+
+    The swings of these phases are alike in length; one set of phases in five lost the resonance.
+    """
+    t = T * np.arange(2000)
+    sine = Sine(amplitude=10.0, frequency_hz=50.0, axis=1)
+    multisine = Multisine(amplitude=10.0, lowest_hz=5.0, highest_hz=50.0, seed=seed)
+    u = np.concatenate([shape.sample(t, 1)[0] for shape in (sine, multisine)])[None]
+    assert not several_rates([Record(u, u, T)])
+    y = lagged(theory.prandtl_ishlinskii(u, [[R]], W[:1, :1])[0], 280.0, 0.12)
+    noisy = y + 0.04 * np.random.default_rng(seed).standard_normal(y.shape)
+    task = AxisTask(
+        (Record(u, [noisy], T),), (InitialState("rest"),), (R,), 0, AxisShape(), 0, SensorModel(SENSOR_HZ)
+    )
+    fit = fit_axis(task, np.log([270.0, 0.1]))
+    assert fit.axis.resonance_hz == pytest.approx(280.0, rel=0.01)
+    assert axis_identified(fit)

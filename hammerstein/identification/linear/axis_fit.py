@@ -16,7 +16,7 @@ from hammerstein.identification.linear.axis_search import FirstGuess, Progress, 
 from hammerstein.identification.linear.axis_steps import Point, fit_slopes, refine, residuals
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
 from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
-from hammerstein.identification.rates import drive_hz, several_rates
+from hammerstein.identification.rates import drive_hz, lowest_hz, several_rates
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
 from hammerstein.records.record import Record
@@ -202,12 +202,12 @@ def _at_one_rate(task: AxisTask) -> bool:
 
 
 def _among_harmonics(task: AxisTask, point: Point) -> bool:
-    """Whether fewer than two multiples of the rate are near the resonance.
+    """Whether fewer than two multiples of the lowest frequency of the drive are near the resonance.
 
     One line of a spectrum is two numbers, as many as a resonance has: it explains any harmonic there.
     """
     width_hz = math.exp(point.x[0]) * (NEAR - 1.0 / NEAR)
-    return width_hz < 2.0 * min(drive_hz(record) for record in task.records)
+    return width_hz < 2.0 * min(lowest_hz(record) for record in task.records)
 
 
 def _first_creep(task: AxisTask) -> Array:
