@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from readme_figures import FIGURES, printed
+from readme_figures import FIGURES, SAMPLE_TIMES_S, printed
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 ROUNDED = 0.05  # of two digits
@@ -23,7 +23,7 @@ def _cases():
 @pytest.mark.parametrize("figure", list(_cases()))
 def test_a_seed_lies_in_the_printed_range(figure):
     low, high = printed(README)[figure.words]
-    values = figure.values(seed=7)
+    values = figure.values(seed=7, sample_time_s=min(SAMPLE_TIMES_S))  # accepted numbers have the other one
     assert (1.0 - ROUNDED) * low <= min(values)
     assert max(values) <= (1.0 + ROUNDED) * high
     assert low < high < 100.0
