@@ -356,4 +356,4 @@ def test_a_sine_and_a_slow_multisine_tell_a_resonance_whatever_its_phases(seed):
     )
     fit = fit_axis(task, np.log([270.0, 0.1]))
     assert fit.axis.resonance_hz == pytest.approx(280.0, rel=0.01)
-    assert axis_identified(fit)
+    assert fit.identified
