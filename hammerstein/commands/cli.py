@@ -1,4 +1,4 @@
-"""The command line. What it says goes through ``terminal``."""
+"""The command line. Its output goes through ``terminal``."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ app = typer.Typer(
 
 
 def _example(command: str) -> str:
-    """What stands below the options of a command: a line that works in a folder made by ``init``."""
+    """Text below the options of a command: an example that works in a folder made by ``init``."""
     return f"\b\nExample: hammerstein {command}"  # \b: not to be broken into several lines
 
 
@@ -111,7 +111,7 @@ def _before(
         bool, typer.Option("--quiet", "-q", help="Print only errors, warnings and --json output.")
     ] = False,
 ) -> None:
-    """What stands before a command."""
+    """Options before a command."""
     terminal.hush(quiet and context.invoked_subcommand not in PRINTED)
     refuse_small_limit()
 
@@ -185,7 +185,7 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
 
 
 def _message_of(mistake: Any) -> str:
-    """What the parser says of a command line, which it would print as it is."""
+    """Message of the parser about a command line, made safe to print."""
     said = io.StringIO()
     mistake.show(file=said)
     return said.getvalue().rstrip()

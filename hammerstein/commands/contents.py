@@ -30,7 +30,7 @@ OWN_TABLES = {"drive_": "drive file", "played_": "file of played voltages"}
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file is, and what a person wants to know of it: names and texts."""
+    """Description of a file: names and texts."""
 
     kind: str
     facts: Facts
@@ -76,9 +76,9 @@ class _Comparison(BaseModel):
 
 
 def contents_of(path: Path) -> Contents:
-    """Tell what a file holds.
+    """Describe the content of a file.
 
-    Raises InputError where it cannot be read, or is none of ours.
+    Raises InputError if it cannot be read, or if it is not a file of this program.
     """
     if path.suffix.lower() == ".toml":
         return Contents("scenario", tuple(_scenario(path)))

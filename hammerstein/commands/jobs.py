@@ -57,15 +57,15 @@ def process_pool(jobs: parallel_tasks.Jobs, seconds: float) -> AbstractContextMa
 
 
 def announce(text: str, seconds: float, yes: bool) -> None:
-    """Tell what takes long.
+    """Announce work that takes long.
 
     Parameters
     ----------
-    text : what is going to be done
-    seconds : how long it takes
+    text : description of the work
+    seconds : expected time
     yes : whether a person has agreed beforehand
 
-    Raises InputError where it takes more than ten minutes, and a person watches and has not said yes.
+    Raises InputError if it takes more than ten minutes, a person watches, and has not agreed.
     """
     from hammerstein.errors import InputError
     from hammerstein.experiment.plan import LONG_S, TOLD_S

@@ -1,4 +1,4 @@
-"""What a person says of a law and its voltages: options that several commands have, and their words."""
+"""Options of several commands for a law and its voltages."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _value(words: str) -> Any:
 
 @dataclass(frozen=True)
 class Sent:
-    """What may be sent to the actuator, and where it stands before."""
+    """Range of the drive, and initial state of the actuator."""
 
     range_v: Annotated[
         str | None,
@@ -147,7 +147,7 @@ class Reached:
         )
 
     def refuse_with_period(self) -> None:
-        """Raise InputError for what a period has no use for: it writes a run-up of its own."""
+        """Raise InputError for options that a period does not use, because it writes a run-up of its own."""
         from hammerstein.errors import InputError
 
         if self.lead_in or self.offset is not None or self.approach_side is not None:

@@ -69,7 +69,7 @@ class TableRequest(NamedTuple):
 
 
 class Period(NamedTuple):
-    """What a person asks of the period of a path, and where it goes."""
+    """Options for one period of a path, and its output file."""
 
     model: str
     path: Path

@@ -66,15 +66,15 @@ def played(
     Parameters
     ----------
     model_path : model file, or name of a packaged actuator
-    drive_path : CSV file: ``time_s`` and one column an input, absolute [V]; of a file that ``compensate``
-        has written, the columns of the drive
-    with_sensor : whether converter and sensor of the model stand before and behind it
-    onlooker : told the cost before the work
+    drive_path : CSV file: ``time_s`` and one column for each input, absolute [V]; a file written by
+        ``compensate`` also works
+    with_sensor : whether to include converter and sensor of the model
+    onlooker : informed of the cost before the work
 
     Raises
     ------
     InputError : a file is wrong
-    SimulationError : the model leaves every bound, or the samples do not fit the memory
+    SimulationError : the response diverges, or the samples do not fit into memory
     """
     model = HammersteinModel.load(model_path)
     time_s, values, names = read_signal(drive_path)

@@ -1,4 +1,4 @@
-"""What a person says of records and of how they are identified: options that several commands have."""
+"""Options of several commands for records and their identification."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ def _plain(found: Mapping[str, Sequence[Loop]]) -> list[dict[str, Any]]:
 
 
 def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
-    """Print the loops of each file that tell most of it."""
+    """Print the most informative loops of each file."""
     from hammerstein.commands.terminal_tables import loops_table
     from hammerstein.records.loops import telling_loops
 

@@ -44,7 +44,7 @@ def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bo
 
 @contextmanager
 def told_by_options(source: str, own: Collection[str] = ()) -> Iterator[None]:
-    """Let the mistakes in what a function was told name the options that told it.
+    """Make the mistakes in arguments of a function name the command's options.
 
     own : keys that were given as ``--option KEY=VALUE``
     """

@@ -139,7 +139,7 @@ def _show_plan(paths: Sequence[Path], jobs: int) -> None:
 
 
 def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwrite: bool) -> list[Report]:
-    """Write what stands over several reports: what was asked of them, the overview."""
+    """Write the pages over several reports: assessments and the overview."""
     from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.reporting.overview import write_overview
 
@@ -182,7 +182,7 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
 
 
 def _first_page(reports: Sequence[Report], out: Path) -> Path:
-    """The page to look at first: of one report its own, of several the one over all of them."""
+    """The page to look at first: the report if there is one, the overview if there are several."""
     return out / "index.html" if len(reports) > 1 else out / reports[0].name / "report.html"
 
 
@@ -227,11 +227,12 @@ def _run_what_changed(
 def _planned(
     scenarios: dict[str, Scenario], jobs: parallel_tasks.Jobs, yes: bool
 ) -> AbstractContextManager[parallel_tasks.Jobs]:
-    """Return the jobs that fit the memory together; what takes long is told, and wants ``--yes`` of a person.
+    """Return the number of jobs that fit into memory; announce long work, which needs ``--yes`` from a
+    person.
 
-    A single scenario that is drawn often has processes; several have one each in any case.
+    A single scenario with many draws uses processes; several scenarios use one each in any case.
 
-    Raises InputError where a person watches and has not said yes.
+    Raises InputError if a person watches and has not agreed.
     """
     from hammerstein.experiment.plan import jobs_that_fit, plans_of, together
     from hammerstein.runtime.parallel_tasks import workers_of

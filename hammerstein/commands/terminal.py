@@ -24,7 +24,7 @@ _hushed = False
 
 
 def hush(wanted: bool) -> None:
-    """Print no more than mistakes, warnings, and what is asked for as JSON; or everything again."""
+    """Print only mistakes, warnings and JSON; or everything again."""
     global _hushed
     _hushed = wanted
 
@@ -99,7 +99,7 @@ def show(table: Table) -> None:
 
 
 def settle() -> None:
-    """Write what libraries have left in the buffers; OutputError if it cannot be written."""
+    """Flush the output of libraries; OutputError if it cannot be written."""
     try:
         sys.stdout.flush()
     except OSError as error:
@@ -109,7 +109,7 @@ def settle() -> None:
 
 
 def nobody_listens(error: OSError) -> None:
-    """Drop what is left to print; a reader who has seen enough, as ``head``, is no mistake."""
+    """Drop the remaining output; a reader that stops early, such as ``head``, is no mistake."""
     _drop(sys.stdout)
     if not isinstance(error, BrokenPipeError):
         raise OutputError(f"the output cannot be written ({reason_of(error)})") from None

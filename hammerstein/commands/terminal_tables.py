@@ -67,7 +67,7 @@ def result_table(reports: Iterable[Report]) -> Table:
 
 
 def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
-    """One line for each part of each scenario: what it is, memory, time; at the end all of them."""
+    """One line for each part of each scenario, with memory and time, and a total."""
     from hammerstein.quantities import duration, size
 
     table = _table("Planned runs, without cached results", PLANNED)

@@ -59,9 +59,9 @@ EVERY_S = 60.0
 
 
 class Spinner:
-    """What is being done, on stderr: all of it when a person watches, a line a minute in a file.
+    """Progress on stderr: every step when a person watches, one line a minute in a file.
 
-    first : what is told at once, in a file as well: for work that is always long
+    first : first message, also in a file, for work that is always long
     """
 
     def __init__(self, first: str = ""):
@@ -100,7 +100,7 @@ TOLD_S = 2.0
 
 @contextmanager
 def watched() -> Iterator[Onlooker]:
-    """Say samples, memory and time of a path before the work, and show what is being done."""
+    """State samples, memory and time of a path before the work, and show progress."""
     from hammerstein.compensators.path_file import Onlooker
 
     with Spinner() as spinner:

@@ -37,12 +37,12 @@ def own_folder(target: Path, say: Say) -> None:
 
     Parameters
     ----------
-    target : where to; made if it does not exist
-    say : told what is being done
+    target : folder; created if it does not exist
+    say : called with each step
 
     Raises
     ------
-    InputError : something of these names is there already, or the folder cannot be written
+    InputError : a file has one of these names already, or the folder cannot be written
     """
     refuse_started(target)
     with _scratch() as room, staged(behind_link(target), INIT) as stage:
@@ -75,7 +75,7 @@ def folder_of(assessment: str, target: Path) -> None:
 
 @contextmanager
 def _scratch() -> Iterator[Path]:
-    """A folder that is gone afterwards, however the program ends."""
+    """A folder that is removed afterwards, however the program ends."""
     with tempfile.TemporaryDirectory(prefix="hammerstein-") as name:
         room = Path(name)
         register_cleanup(room, partial(shutil.rmtree, room, ignore_errors=True))

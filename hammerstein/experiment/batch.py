@@ -82,13 +82,12 @@ def run_all(
     progress: Progress | None = None,
     store: Store | None = None,
 ) -> Iterator[Outcome]:
-    """Run scenarios and hand each report to ``finish`` as soon as it is there.
+    """Run scenarios and pass each report to ``finish`` as soon as it is complete.
 
-    What the store has is not worked out again.
-
-    With several scenarios and jobs, each scenario runs in a process of its own; a single one uses threads.
-    Where an executor is given, its workers take the cases of one scenario after the other. The numbers depend
-    on nothing of that. Outcomes come in the order in which the scenarios finish.
+    Results in the store are not computed again. With several scenarios and jobs, each scenario runs in a
+    process of its own; a single one uses threads. If an executor is given, its workers take the cases of one
+    scenario after the other. The numbers do not depend on any of this. Outcomes come in the order in which
+    the scenarios finish.
     """
     if not isinstance(jobs, int) or jobs == 1 or len(scenarios) == 1:
         for name, scenario in scenarios.items():

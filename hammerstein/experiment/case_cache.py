@@ -144,5 +144,5 @@ def _restored(setup: SetUp, case: Case, entry: Kept) -> Result:
 
 
 def rows_from(listed: Sequence[Mapping[str, Any]]) -> tuple[Row, ...]:
-    """Rows of what ``asdict`` made of them."""
+    """Rows from the result of ``asdict``."""
     return tuple(Row(**row) for row in listed)

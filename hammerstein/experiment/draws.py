@@ -26,9 +26,9 @@ TOGETHER = 25  # actuators that are worked out, and kept, in one piece
 
 
 class Actuators(ABC):
-    """Many actuators near the nominal one; what another process needs to make them.
+    """Many actuators near the nominal one, in a form that another process can use.
 
-    what : for a person who watches
+    what : description for a person who watches
     """
 
     what: str
@@ -56,8 +56,8 @@ class Actuators(ABC):
 class Figures:
     """Figures of one case on some actuators.
 
-    rows : what tells the rows apart
-    values : (actuator, row, metric) in the order of ``drawn_metrics``; NaN where a figure has no meaning
+    rows : keys of the rows
+    values : (actuator, row, metric) in the order of ``drawn_metrics``; NaN if a figure has no meaning
     """
 
     rows: tuple[Row, ...]
@@ -124,7 +124,7 @@ class _Run:
         return self.setup.experiment(self.case)
 
     def which(self, numbers: range) -> list[Any]:
-        """What tells these actuators from all others, as plain JSON."""
+        """Key of these actuators, as plain JSON."""
         return [self.actuators.key, numbers.start, numbers.stop]
 
     def over(self, plants: Sequence[Plant], numbers: range) -> Figures:

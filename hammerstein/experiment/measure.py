@@ -138,7 +138,7 @@ def _middle(case: Case, response: Response) -> Array | None:
 
 
 def _key(setup: SetUp, case: Case) -> dict[str, Any]:
-    """What tells the rows of a case from those of others, whatever the response is compared with."""
+    """Key of the rows of a case, whatever the response is compared with."""
     signal = case.signal.model_dump()
     return {
         "excited_axis": setup.excited_axis(case),
@@ -205,7 +205,7 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
 
 
 def _flagged(setup: SetUp) -> list[str]:
-    """Say what the fit reports of models say against them; of the simulated actuator's own, too."""
+    """State the flags in the fit reports of the models, and of the simulated actuator."""
     models = {**setup.models, SIMULATED: setup.plant.model}
     verdicts = {label: model.verdict for label, model in models.items()}
     return [
@@ -216,7 +216,7 @@ def _flagged(setup: SetUp) -> list[str]:
 
 
 def _far_from_home(setup: SetUp, results: Sequence[Result]) -> list[str]:
-    """Say where a model is used at voltages that its own records did not cover, or the actuator itself."""
+    """State where a model, or the actuator, is used at voltages that its records did not cover."""
     plant = setup.plant.model
     farthest: dict[str, tuple[float, str]] = {}
     for result in results:
@@ -237,7 +237,7 @@ def _far_from_home(setup: SetUp, results: Sequence[Result]) -> list[str]:
 
 
 def _sampling(setup: SetUp) -> Iterator[str]:
-    """Say what the sample time alone costs, where two of them meet, and what was not recorded."""
+    """State the error of the sample time alone, if there are two sample times, and what was not recorded."""
     scenario, step = setup.scenario, setup.plant.sample_time_s
     highest = max(signal.highest_frequency_hz for signal in scenario.signals())
     share = hold_share(highest, step)
@@ -282,7 +282,7 @@ def hold_share(frequency_hz: float, sample_time_s: float) -> float:
 
 
 def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
-    """What a reader of the report must know: convergence, saturation, and what did not settle."""
+    """Notes for a reader of the report: convergence, saturation, and loops that did not settle."""
     statements = [f"{label}: {text}" for label, law in setup.laws.items() if (text := law.statement())]
     plant = setup.plant.model
     off = plant.verdict.error(plant.outputs) if plant.verdict is not None else ""

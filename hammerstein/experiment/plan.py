@@ -66,7 +66,7 @@ LONG_S = 600.0
 class Part:
     """One part of a plan: description, memory and time, and the keys that reduce them.
 
-    once : what tells the result from others, where it is kept and other runs do not do it again; else None
+    once : key of a result that is stored and computed once for all runs; else None
     """
 
     what: str
@@ -98,13 +98,12 @@ class Plan:
         return {part.once for part in self.parts} - {None}
 
     def without(self, kept: Set[Hashable]) -> Plan:
-        """What is left to do where others bring these results."""
+        """Rest of the work if others provide these results."""
         return Plan(tuple(part for part in self.parts if part.once not in kept))
 
     def refuse_too_large(self) -> None:
-        """Refuse what does not fit the memory that is free.
-
-        Raises SimulationError, which names the largest part and what makes it smaller.
+        """Raise SimulationError, with the largest part and a remedy, if the plan needs more memory than is
+        free.
         """
         free = free_bytes()
         if self.bytes <= free:
@@ -116,7 +115,7 @@ class Plan:
         )
 
     def announcement(self, jobs: int) -> tuple[str, float]:
-        """Say how long it takes, in words and in seconds, and what shortens it."""
+        """State how long it takes, in words and in seconds, and how to shorten it."""
         seconds = self.seconds / max(jobs, 1)
         longest = max(self.parts, key=lambda part: part.seconds, default=Part("nothing", 0.0, 0.0, "nothing"))
         return (
@@ -127,7 +126,7 @@ class Plan:
 
 
 def plans_of(scenarios: Mapping[str, Scenario]) -> dict[str, Plan]:
-    """Plans of the scenarios that can be run; what is wrong with the others is told when it is their turn."""
+    """Plans of the scenarios that can be run; errors of the others are reported when they are run."""
     plans, free = {}, free_bytes()
     for name, scenario in scenarios.items():
         with contextlib.suppress(InputError, SimulationError):
@@ -136,9 +135,10 @@ def plans_of(scenarios: Mapping[str, Scenario]) -> dict[str, Plan]:
 
 
 def longest_first(plans: Mapping[str, Plan]) -> list[str]:
-    """Names of plans in the order in which none is left alone at the end.
+    """Names of plans, the longest first, so that no long one runs alone at the end.
 
-    What several identify in the same way counts for the first of them: then no two do it side by side.
+    An identification that several plans share counts for the first of them, so that it is not done twice in
+    parallel.
     """
     kept, order = set[Hashable](), list[str]()
     waiting = [(-plan.seconds, number, name) for number, (name, plan) in enumerate(plans.items())]
@@ -343,7 +343,7 @@ def _trial_of(compensator: TestedCompensator, plant: Plant) -> float:
 
 
 def _kind(source: ModelSource) -> str:
-    """Kind of the hysteresis of a model, where it is not yet identified the one that is asked for."""
+    """Kind of the hysteresis of a model; the requested kind if it is not yet identified."""
     if source.identification is None:
         return loaded(str(source.model)).hysteresis.kind
     return getattr(source.identification, "hysteresis", None) or PrandtlIshlinskii.kind

@@ -191,7 +191,7 @@ def _worked_out(
 
 
 def _rows_in(results: Iterable[Result]) -> tuple[Row, ...]:
-    """All rows; no figure leaves a run that is infinite or NaN, whatever brought it about."""
+    """All rows; raises an error if a figure is infinite or NaN."""
     rows = tuple(row for result in results for row in result.rows)
     for row in rows:
         if figure := row.not_finite():

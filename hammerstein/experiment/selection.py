@@ -1,4 +1,4 @@
-"""What tells the rows of a report apart, for the tables and sentences that people read."""
+"""Conditions that distinguish the rows of a report, for tables and sentences."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def by_condition(rows: Iterable[Row]) -> dict[Condition, list[Row]]:
 
 
 def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:
-    """Words for each condition, without what is the same in all of them.
+    """Words for each condition, without the part that is equal in all of them.
 
     >>> list(told_apart([Condition(50.0, 10.0, "V"), Condition(50.0, 5.0, "V")]).values())
     ['10 V', '5 V']
@@ -103,7 +103,7 @@ def is_path(report: Report) -> bool:
 
 
 def banded_metric(report: Report) -> tuple[str, str]:
-    """Figure that the spread of drawn actuators is told of, and what it is called."""
+    """Figure for which the spread of drawn actuators is reported, and its name."""
     path = is_path(report) and len(report.axes) > 1
     return ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
 

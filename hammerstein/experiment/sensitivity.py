@@ -1,10 +1,10 @@
-"""Which uncertain parameter costs how much: variance of a figure, parted among the parameters.
+"""Contribution of each uncertain parameter to the variance of a figure.
 
     first index  S_g = V[E(f | g)] / V[f],    total index  T_g = E[V(f | all but g)] / V[f]
 
-S_g is the part of the variance that goes when g alone becomes known; T_g - S_g is what g does together with
-others. Errors of weights hang together: those of one output are one group g, whitened by the factor of their
-covariance. Saltelli et al., Computer Physics Communications 181 (2010) 259-270; estimators of SciPy.
+S_g is the part of the variance that vanishes when g alone becomes known; T_g - S_g is the part of g together
+with others. Errors of weights are correlated: those of one output are one group g, whitened by the factor of
+their covariance. Saltelli et al., Computer Physics Communications 181 (2010) 259-270; estimators of SciPy.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ REACH_POINTS = 5000  # enough to find the largest value of a path
 class Case:
     """One run of a scenario: a signal, the axis it excites (None: all), and the label of what is tested.
 
-    trial : which one of a compensator that learns; None: what its options say
+    trial : trial of a compensator that learns; None: the one in its options
     position : of the signal and of the compensator in the scenario, counted from 1
     """
 
@@ -312,7 +312,7 @@ def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant
 
 
 def _range(model: HammersteinModel, plant: Plant) -> DriveRange:
-    """What a law may ask for; before the first sample the actuator rests at its own working point."""
+    """Range of a law; before the first sample, the actuator rests at its own working point."""
     return DriveRange.of(
         np.transpose(plant.instruments.drive.limits(plant.model.hysteresis.n_inputs)),
         model,

@@ -26,8 +26,9 @@ MOST_SAMPLES = 4_000_000  # a longer run is not tried
 def settled(setup: SetUp, case: Case, response: Response) -> bool:
     """Whether the last measured cycle of the true position repeats an earlier one.
 
-    That is the first measured one or, where the samples of those two lie at different phases, the latest at
-    the same ones: what a law does between two samples differs from cycle to cycle, and is no settling.
+    The earlier one is the first measured cycle. If its samples have other phases, it is the latest cycle with
+    the same phases, because the response between two samples differs from cycle to cycle without being
+    unsettled.
     """
     cycles = setup.scenario.measure.measured_cycles
     if not isinstance(case.signal, OneFrequency) or not case.signal.repeats or cycles < 2:

@@ -251,5 +251,5 @@ class _Excursion(NamedTuple):
         return cls(np.array(known.working_point_v), centre, size)
 
     def voltages(self) -> Voltages:
-        """What a model file says of them."""
+        """Voltages for a model file."""
         return Voltages.of(self.rest_v, self.centre_v - self.amplitude_v, self.centre_v + self.amplitude_v)

@@ -57,10 +57,10 @@ def sampled(
 
     Parameters
     ----------
-    scenario, name : what to run, and what it is called in messages
+    scenario, name : scenario, and its name in messages
     jobs : threads, or an executor of ``concurrent.futures``; the numbers do not depend on it
-    progress : called with what is done, how much of it, and of how much
-    store : where rows are kept and found; all are worked out if not given
+    progress : called with the current step, the amount done, and the total
+    store : store for rows; without it, all are computed
 
     Raises
     ------
@@ -105,10 +105,10 @@ def study_of(scenario: Scenario, name: str) -> Study:
 
 
 def plan_of_study(scenario: Scenario, name: str) -> Plan:
-    """What the runs of a study need: the time of all of them, and the memory of the largest.
+    """Cost of the runs of a study: total time, and memory of the largest run.
 
-    Of many runs some are looked at, and those in which a key has its least or largest value. What several
-    runs identify in the same way is identified once.
+    If there are many runs, the estimate uses some of them, and those in which a key has its least or largest
+    value. Runs with equal identifications share one.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def _rounded(values: Mapping[str, float], whole: set[str]) -> dict[str, float]:
 
 
 def _is_whole(scenario: Scenario, name: str, key: str, value: float) -> bool:
-    """Whether a key takes whole numbers alone; InputError where it takes no number at all."""
+    """Whether a key only takes integers; InputError if it takes no number."""
     try:
         varied(scenario, {key: round(value) + 0.5}, name)
     except InputError as error:
@@ -196,9 +196,9 @@ def _one(scenario: Scenario, name: str, number: int, values: Mapping[str, float]
 
 
 def varied(scenario: Scenario, values: Mapping[str, float], name: str = "scenario") -> Scenario:
-    """The scenario with other values of some keys, without what is not run in a study.
+    """The scenario with other values of some keys, without the parts that a study does not run.
 
-    Raises InputError where a key is no number of the scenario, or its value is none that it takes.
+    Raises InputError if a key is not a number of the scenario, or if its value is not allowed.
 
     Examples
     --------

@@ -34,12 +34,12 @@ def whole_period(samples: float, label: str) -> int:
 class IlcRun:
     """The trials of one learner on one actuator.
 
-    In each one period of voltages is played from rest as long as a run of the scenario takes, and what the
-    sensor reads in the measured window teaches the next.
+    Each trial repeats one period of voltages from rest, for as long as a run of the scenario. The next trial
+    learns from the sensor's readings in the measured window.
 
     Parameters
     ----------
-    law : what learns
+    law : learning law
     reference_um : (p, N) path of the whole run
     first : sample from which on a run is measured
     period : samples of a period
@@ -95,7 +95,7 @@ class IlcRuns:
         return IlcRuns, ()
 
     def of(self, plant: Plant, key: Hashable, new: Callable[[], IlcRun]) -> IlcRun:
-        """The run of a key on an actuator; begun where there is none."""
+        """The run of a key on an actuator; a new one if there is none."""
         with self._lock:
             ilc_runs = self._found.setdefault(plant, {})
             if key not in ilc_runs:

@@ -38,7 +38,7 @@ class AlsoOn(BaseModel):
 
 @register
 class Paper(Assessment):
-    """What the paper says, and what counts as agreement."""
+    """Claims of the paper, and criteria of agreement."""
 
     kind: Literal["paper"]
     title: ClassVar[str] = "Claims of the paper"

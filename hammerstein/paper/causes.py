@@ -30,9 +30,9 @@ LOW_HZ = 10.0
 
 @dataclass(frozen=True)
 class Variation:
-    """One factor of the chain changed, or two, in identification and run alike.
+    """One or two factors of the chain changed, both in identification and in the run.
 
-    factors : what was changed; words : what was done, such as ``with an ideal sensor``
+    factors : changed factors; words : description, such as ``with an ideal sensor``
     scenario, model : what is run then
     """
 

@@ -202,5 +202,5 @@ class Claim(BaseModel):
 
 
 def _place(row: Row) -> tuple[object, ...]:
-    """What tells a row from the others of its compensator."""
+    """Key of a row among those of its compensator."""
     return tuple(getattr(row, name) for name in KEY if name != "compensator")

@@ -88,9 +88,9 @@ def _floor(value: float) -> str:
 
 @dataclass(frozen=True)
 class Change:
-    """What a claim's figure becomes when one factor of the chain is changed, or two, and nothing else.
+    """Figure of a claim after a change of only one or two factors of the chain.
 
-    factor : names; words : what was done, such as ``with an ideal sensor``; value : the figure then
+    factor : names; words : description, such as ``with an ideal sensor``; value : new figure
     """
 
     factor: str
@@ -107,8 +107,8 @@ class Change:
 class ClaimJudgement(Judgement):
     """A claim and its figure on the simulated actuators; the first is the scenario's own.
 
-    reason : why that one does not agree, in one short sentence; details : what every change gives
-    cause : the only factor, or pair of factors, that brings agreement; empty if there is none or several
+    reason : why it does not agree, in one short sentence; details : result of every change
+    cause : the only factor, or pair of factors, that gives agreement; empty if there is none or several
     """
 
     statement: str
@@ -180,11 +180,11 @@ def judgements(
 
     Parameters
     ----------
-    claims : what is claimed
+    claims : the claims
     runs_by_actuator : rows of each actuator, of the run itself and of its repeats
-    changes_of : what the figure of a claim that is not met becomes, one factor changed at a time
+    changes_of : figures of a claim that is not met, with one factor changed at a time
 
-    Raises InputError where a claim selects no row.
+    Raises InputError if a claim selects no row.
     """
     return tuple(_judged(claim, runs_by_actuator, changes_of) for claim in claims)
 

@@ -89,7 +89,7 @@ def write_page(reports: Sequence[Report], out: Path, page: Path, overwrite: bool
 
 
 def _in_order(report: Report) -> tuple[bool, list[int], str]:
-    """Figures in the order of their numbers; what has no number first, what is not in the paper last."""
+    """Figures in the order of their numbers; those without a number first, those not in the paper last."""
     figure = printed_at(report)
     words = "".join(c if c.isdigit() else " " for c in figure.split(",")[0])
     return not figure, [int(word) for word in words.split()][:1], report.name
@@ -159,7 +159,7 @@ class Met:
 
 
 def _reading(actuator: str) -> str:
-    """What a packaged actuator stands for; empty for another."""
+    """Reading of the paper that a packaged actuator represents; empty for another actuator."""
     if actuator not in packaged_actuators():
         return ""
     told = HammersteinModel.load(actuator).provenance

@@ -57,9 +57,10 @@ CAPTIONS = {
 
 
 class Asked(NamedTuple):
-    """What a person asked of ``identify`` on the command line, so that a page can give the next command.
+    """Command line of ``identify``, so that a page can give the next command.
 
-    model_file : where the model went; files : of the first record; words : that repeat the identification
+    model_file : file of the model; files : files of the first record; words : words that repeat the
+        identification
     """
 
     model_file: Path
@@ -93,9 +94,9 @@ def fit_page(
 
     Parameters
     ----------
-    model, fit : what ``identify`` gave
+    model, fit : result of ``identify``
     figures : names of its files beside the page
-    asked : the command line that asked for it, if one did
+    asked : its command line, if there was one
     """
     shown = [Shown(name, *text) for name, text in CAPTIONS.items() if f"{name}.svg" in figures]
     return Page(
@@ -180,7 +181,7 @@ def _error(fit: Fit) -> str:
 
 
 def _usable(fit: Fit) -> tuple[str, str]:
-    """What the model is good for, and what limits that."""
+    """Use of the model, and its limits."""
     if not fit.invertible:
         return "Usable for simulation only", ": the model has no inverse."
     if fit.flags:
@@ -212,7 +213,7 @@ def _command(*words: str) -> str:
 
 
 def _body(model: HammersteinModel, fit: Fit) -> Markdown:
-    """Markdown of what stands between the verdict and the figures."""
+    """Markdown of the sections after the figures."""
     return markdown_page(
         "fit_body.md.jinja",
         fit=fit,

@@ -34,10 +34,10 @@ MOST_LINES = 7  # of what an assessment found, on the terminal
 class Card:
     """One scenario.
 
-    page, picture : places of its report and its key figure, as links; the picture may be missing
-    told : what the numbers are
+    page, picture : links to its report and its key figure; the picture may be missing
+    told : meaning of the numbers
     worst : label and worst error of each compensator or model, best first
-    beyond : conditions that are left out, since the drive's range cut the voltages of every compensator
+    beyond : omitted conditions, in which the drive's range cut the voltages of every compensator
     """
 
     name: str
@@ -53,7 +53,7 @@ class Card:
 
 @dataclass(frozen=True)
 class Section:
-    """Cards under one heading; lines say what an assessment found over all of them."""
+    """Cards under one heading; lines give the result of an assessment over all of them."""
 
     title: str
     lines: tuple[str, ...]
@@ -100,7 +100,7 @@ def _assessed(reports: Sequence[Report]) -> dict[type[Assessment], list[Report]]
 
 
 def _sections(reports: Sequence[Report], out: Path) -> Iterator[Section]:
-    """Examples first; what was assessed has a section of its own below."""
+    """Examples first; assessed scenarios have a section of their own below."""
     assessed = _assessed(reports)
     judged = {id(report) for group in assessed.values() for report in group}
     examples = tuple(_card(report, out) for report in reports if id(report) not in judged)

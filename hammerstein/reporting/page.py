@@ -21,7 +21,7 @@ class NumberFile(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What was judged, in few words, and whether all of it is as it was wanted."""
+    """Result of a judgement in few words, and whether everything is as required."""
 
     words: str
     good: bool
@@ -29,14 +29,14 @@ class Judged(NamedTuple):
 
 @dataclass(frozen=True)
 class Page:
-    """What was found, and what it rests on.
+    """Result and its basis, as one page.
 
     heading : of the Markdown page
     what, title : of the page for a browser
     answer : sentences, the most important first
     body : figures, tables and remarks, under headings
     facts : few words each
-    verdict : of what the numbers were judged by, if by anything
+    verdict : result of judging the numbers, if they were judged
     numbers : files with every number
     """
 

@@ -189,7 +189,7 @@ def _number_files(report: Report) -> Iterator[NumberFile]:
 
 
 def gathered(statements: Sequence[str]) -> list[str]:
-    """Statements, what is said of several things but once.
+    """Statements, with equal statements on several things joined.
 
     >>> gathered(["plays: no inverse", "The sensor lags.", "Bouc-Wen: no inverse"])
     ['plays; Bouc-Wen: no inverse', 'The sensor lags.']

@@ -51,19 +51,19 @@ class Sentence:
 
 @dataclass(frozen=True)
 class Merit:
-    """A figure by which compensators and models are compared: its name in a row, and what it is."""
+    """A figure by which compensators and models are compared: its name in a row, and its meaning."""
 
     name: str
     words: str
 
 
 def answer(report: Report, quote: Quote = str) -> str:
-    """One paragraph: what was found, what was cut, what had not settled.
+    """One paragraph: results, saturated drives, and loops that had not settled.
 
     Parameters
     ----------
-    report : what was found
-    quote : how a label is written, for example in italics
+    report : report of a run
+    quote : formats a label, for example in italics
     """
     return " ".join(map(str, sentences(report, quote)))
 
@@ -159,8 +159,8 @@ def _worst_bands(bands: Sequence[Band], quote: Quote) -> Iterator[str]:
 def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
     """Sentences on every merit, of the reading and of the true position.
 
-    The true position comes first, or the reading, where that is what the scenario's assessment is about.
-    An ideal sensor leaves one of the two.
+    The true position comes first, or the reading if the scenario's assessment is about it. With an ideal
+    sensor, both are the same and only one is given.
     """
     target = "reference" if report.scenario.reference is not None else "prediction"
     contest = Contest.of(report, quote)

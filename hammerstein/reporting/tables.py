@@ -26,7 +26,7 @@ MOST_LOOPS = 32  # more are left to rms.csv
 
 @dataclass(frozen=True)
 class NumberTable:
-    """One table: what it shows, its header, its lines; a remark where it leaves something out."""
+    """One table: title, header, lines, and a remark if it omits something."""
 
     title: str
     header: tuple[str, ...]
@@ -66,7 +66,7 @@ def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
 
 
 def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
-    """Rows that are shown, and what is left out."""
+    """Rows to show, and a remark on omitted ones."""
     frequencies = sorted({row.frequency_hz for row in report.rows})
     if len(frequencies) <= most:
         return list(report.rows), ""

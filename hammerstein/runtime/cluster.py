@@ -36,13 +36,13 @@ LARGE = "100 MB"
 
 
 class Cluster(Executor):
-    """Workers that take one task after the other.
+    """Workers of a cluster, one task at a time each.
 
-    A task whose worker dies is given to another one by the scheduler, up to so many times as it allows
-    (``distributed.scheduler.allowed-failures``). Workers may come and go.
+    If a worker dies, the scheduler gives its task to another one, at most
+    ``distributed.scheduler.allowed-failures`` times. Workers may come and go.
 
-    Dask's own executor (``Client.get_executor``) asks for the state of a task after its result, when the
-    worker may be gone: that is a TypeError. It tells nobody of a task that was on its way while the
+    Dask's own executor (``Client.get_executor``) is not used: it asks for the state of a task after its
+    result, which raises a TypeError if the worker is gone, and it loses a task that was sent while the
     connection broke.
 
     Parameters
@@ -77,7 +77,7 @@ class Cluster(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the cluster; it goes on without."""
+        """Disconnect from the cluster, which keeps running."""
         self._closed.set()
         with contextlib.suppress(Exception):  # it may be lost
             self._client.close(timeout=CLOSING_S)
@@ -145,7 +145,7 @@ class Cluster(Executor):
         return digest_of(others) if others else ""
 
     def _look(self) -> None:
-        """Count the workers, and say when none is left: the run waits for others."""
+        """Count the workers, and report when there is none: the run then waits for others."""
         while not self._closed.wait(LOOK_S):
             before = self.workers
             try:
@@ -183,7 +183,7 @@ def joined(address: str) -> Iterator[Cluster]:
 
 
 def _refuse_unreachable(address: str) -> None:
-    """Refuse where no scheduler answers within seconds: a client waits for ever for a port that is mute."""
+    """Raise an error if no scheduler answers in time; a client would wait forever for a silent port."""
     try:
         kind = asyncio.run(asyncio.wait_for(_identity(address), 2.0 * PATIENCE_S)).get("type")
         reason = "" if kind == "Scheduler" else f"it is a {kind}"

@@ -17,10 +17,10 @@ LIBRARIES = ("control", "numba", "numpy", "pandas", "pydantic", "scipy", "typer"
 
 
 def as_error(error: Exception) -> HammersteinError:
-    """The message for a person of any error.
+    """Message for a person about any error.
 
-    What the system refuses (a file, memory) is told as that; anything else is a fault of this program, whose
-    details go to a file.
+    An error of the system (a file, memory) has its own message. Any other error is a fault of this program,
+    and its details go to a file.
     """
     if isinstance(error, HammersteinError):
         return error

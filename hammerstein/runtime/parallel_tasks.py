@@ -33,7 +33,7 @@ class _Here(Executor):
 
 
 def completed(result: T) -> Future[T]:
-    """Return what is known already the form of a task that is finished."""
+    """Return a known result as a finished task."""
     future: Future[T] = Future()
     future.set_result(result)
     return future
@@ -54,18 +54,17 @@ def on_workers(jobs: Jobs) -> str:
 def in_order(
     tasks: Iterable[Task[T]], jobs: Jobs, finished: Callable[[int, T], Any] | None = None
 ) -> Iterator[T]:
-    """Results of independent tasks in their order; only so many are under way that memory stays flat.
+    """Results of independent tasks in their order; a limit on running tasks keeps the memory flat.
 
     Parameters
     ----------
-    tasks : functions without arguments, for an executor of processes such as another process can import; or
-        what is known already
+    tasks : functions without arguments, importable for an executor of processes; or known results
     jobs : threads, or an executor
-    finished : told the number of each result and the result as soon as it is there
+    finished : called with the number and the value of each result as soon as it is known
 
     Raises
     ------
-    the error of the first task, in this order, that fails; nothing more is begun then
+    the error of the first task, in this order, that fails; no further task is started then
     """
     ready: dict[int, Future[T]] = {}
     wanted = 0
@@ -83,13 +82,13 @@ def in_order(
 def spread(
     tasks: Iterable[Task[T]], executor: Executor, ahead: Callable[[], int]
 ) -> Iterator[list[tuple[int, Future[T]]]]:
-    """Return the numbers of tasks and their futures as they are finished; what is left early is cancelled.
+    """Return numbers and futures of tasks as they finish; if the caller stops early, the rest is cancelled.
 
     Parameters
     ----------
-    tasks : handed over in this order
-    executor : takes them
-    ahead : gives how far the last one handed over may be from the first that is not finished
+    tasks : submitted in this order
+    executor : executor for the tasks
+    ahead : returns how far the last submitted task may be ahead of the first unfinished one
     """
     coming, under_way = enumerate(tasks), dict[Future[T], int]()
     following = next(coming, None)
@@ -107,7 +106,7 @@ def spread(
 
 
 def _executor(jobs: Jobs) -> AbstractContextManager[Executor]:
-    """Return an executor that is ended with this block, or the one that is given and goes on."""
+    """Return an executor that ends with this block, or the given one, which does not."""
     if isinstance(jobs, Executor):
         return nullcontext(jobs)
     return _Here() if jobs == 1 else Threads(jobs)

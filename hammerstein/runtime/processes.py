@@ -71,10 +71,10 @@ def loaded_beforehand(names: Sequence[str] = LOADED_ONCE) -> list[str]:
 
 @contextmanager
 def _imports_from_where_this_does() -> Iterator[None]:
-    """A Python begun here takes no module from the working folder, unless this one does.
+    """A Python started here imports no module from the working folder, unless this process does.
 
-    It is begun with ``python -c``, which looks there first, and up to Python 3.12.7 and 3.13.0 it is not told
-    where else (https://github.com/python/cpython/issues/117378).
+    It is started with ``python -c``, which searches the working folder first; up to Python 3.12.7 and 3.13.0
+    it does not inherit the path (https://github.com/python/cpython/issues/117378).
     """
     places = [place for place in sys.path if isinstance(place, str)]  # Python passes others by
     wanted = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(places)}
@@ -93,7 +93,7 @@ def _imports_from_where_this_does() -> Iterator[None]:
 
 @contextmanager
 def _ignored_interrupts() -> Iterator[None]:
-    """A process begun here never notices Ctrl-C: it ends with this one, without a traceback of its own."""
+    """A process started here ignores Ctrl-C: it ends with this one, without a traceback of its own."""
     if threading.current_thread() is not threading.main_thread():  # others may not touch the handlers
         yield
         return

@@ -1,6 +1,6 @@
-"""What computes: the sources of the package and of plug-ins, the versions of the libraries, the processor.
+"""Provenance of a result: sources of the package and of plug-ins, versions of libraries, processor.
 
-Where all of it is the same, the same input gives the same bits, and a result may be kept.
+If all of these are equal, equal input gives equal bits, and a result may be reused.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ def run_bytes(samples: float, inputs: int, outputs: int) -> float:
 
 
 def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
-    """Refuse a run whose wires do not fit the memory that is free.
+    """Refuse a run whose signals do not fit into the free memory.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def refuse_too_long(samples: int, inputs: int, outputs: int) -> None:
 
     Raises
     ------
-    SimulationError : says how much is needed, and what to do
+    SimulationError : with the memory needed and the remedy
     """
     needed = COPIES * run_bytes(samples, inputs, outputs)
     if needed < SMALL_BYTES or needed < SMALL_SHARE * _free_at_first():
@@ -72,7 +72,7 @@ def free_bytes() -> float:
 
 
 def _of_the_groups() -> Iterator[float]:
-    """What the groups around this process leave of their limits."""
+    """Memory that is free in the control groups of this process."""
     for folder, second in groups("memory"):
         names = ("memory.max", "memory.current")
         if not second:
@@ -83,7 +83,7 @@ def _of_the_groups() -> Iterator[float]:
 
 
 def _of_the_process() -> Iterator[float]:
-    """What a limit on the addresses of the process leaves, as ``ulimit -v`` sets it."""
+    """Memory that is free in the address space of this process, if it is limited (``ulimit -v``)."""
     import psutil
 
     process = psutil.Process()
@@ -98,9 +98,9 @@ OWN_GROUP = Path("/proc/self/cgroup")
 
 
 def groups(controller: str) -> Iterator[tuple[Path, bool]]:
-    """Folders of the groups around this process, its own first, and whether they are of version 2.
+    """Folders of the control groups of this process, its own first, and whether they are of version 2.
 
-    controller : what they limit, such as ``memory``; none are given where the system has none
+    controller : limited resource, such as ``memory``; without control groups, the result is empty
     """
     try:
         lines = OWN_GROUP.read_text().splitlines()

@@ -1,8 +1,8 @@
-"""How the program ends when it is asked to, wherever it is: in its first line, in LAPACK, in a file.
+"""End of the program at a signal, wherever it is: in its first line, in LAPACK, in a file.
 
-Python calls the handler of a signal between two of its own
-instructions, and inside compiled code there are none, for minutes if it must be. The system's part of the
-handler does run: it writes the signal's number to a socket. A thread that waits there ends the process.
+Python calls the handler of a signal between two of its own instructions. Compiled code has none, sometimes
+for minutes. The part of the handler in C does run: it writes the number of the signal to a socket. A thread
+that waits for this socket ends the process.
 """
 
 import os
@@ -43,10 +43,10 @@ def _wait(reader: socket.socket, writer: socket.socket, asked: Container[int]) -
 
 
 def end() -> None:
-    """End at once, without half-written files; processes beside this one end with it and remove theirs.
+    """End at once, without half-written files; worker processes end as well and remove theirs.
 
-    Nothing is imported here: of two threads that import at once, each may wait for the other for ever. What
-    is not loaded has nothing to be cleaned up.
+    Nothing is imported here, because two threads that import at the same time may wait for each other
+    forever. A module that is not loaded needs no clean-up.
     """
     if files := sys.modules.get("hammerstein.files"):
         files.discard_unfinished()

@@ -1,7 +1,8 @@
-"""Results of a run kept on the disk under a key of their contents, so that nothing is done twice.
+"""Store of results on disk under a key of their inputs, so that nothing is computed twice.
 
-An entry is an .npz file of plain numbers with checksums: nothing in it can execute. It belongs to the user
-alone, several runs may share the folder, and what was used longest ago goes when it grows too large.
+An entry is an .npz file of plain numbers with checksums; nothing in it can be executed. Only the user can
+read it, and several runs may share the folder. When the folder grows too large, the least recently used
+entries are removed.
 """
 
 from __future__ import annotations
@@ -52,10 +53,10 @@ class Kept:
 class Store:
     """Entries in a folder.
 
-    folder : where they lie
-    fresh : whether what was there before this store was opened is passed by
-    elsewhere : what else computes, where it is not this machine alone
-    problem : why nothing more is kept; empty as long as there is no reason
+    folder : folder of the entries
+    fresh : whether older entries are ignored
+    elsewhere : other machines that compute, if any
+    problem : why no more entries are written; empty if there is no problem
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class Store:
         self._unseen = limit_bytes  # bytes written since the folder was last measured: it never was
 
     def read(self, key: str) -> Kept | None:
-        """Entry of a key; None if there is none, or none that is whole."""
+        """Entry of a key; None if it is missing or damaged."""
         if self.fresh and key not in self._written:
             return None
         path = self._path(key)
@@ -88,7 +89,7 @@ class Store:
         return entry
 
     def write(self, key: str, entry: Kept) -> None:
-        """Keep an entry; where that cannot be done, it is left, and ``problem`` says why."""
+        """Write an entry; if that fails, ``problem`` says why."""
         if self.problem:
             return
         data = _bytes(entry, key)
@@ -117,7 +118,7 @@ class Store:
         return self.folder / key[:2] / key[2:]
 
     def _shrink(self) -> None:
-        """Remove what was used longest ago until there is room, and what dead processes have left."""
+        """Remove the least recently used entries until there is room, and leftovers of dead processes."""
         found = []
         for path in self.folder.glob("??/*"):
             with contextlib.suppress(OSError):
@@ -138,12 +139,12 @@ class Store:
 
 
 def key_of(kind: str, content: Any) -> str:
-    """Key of what is worked out from plain JSON by these sources, libraries and processor.
+    """Key of a result computed from plain JSON by these sources, libraries and processor.
 
     Parameters
     ----------
-    kind : what is worked out
-    content : everything that the result depends on beside them
+    kind : kind of result
+    content : everything else that the result depends on
     """
     return digest_of([kind, computed_by(), content])
 

@@ -55,7 +55,7 @@ class _Crew(Executor, ABC):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End when all is done, or without what has not begun where that is cancelled."""
+        """End when all tasks are done; cancelled tasks that have not started are dropped."""
         if cancel_futures:
             with contextlib.suppress(Empty):
                 while (left := self._tasks.get_nowait()) is not None:
@@ -85,7 +85,7 @@ class _Crew(Executor, ABC):
 
 
 class Threads(_Crew):
-    """Threads of this process; where the block is left by an exception, nobody waits for what still runs."""
+    """Threads of this process; after an exception, the block does not wait for running tasks."""
 
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
@@ -99,13 +99,12 @@ class Threads(_Crew):
 class Processes(_Crew):
     """Processes that do one task after another.
 
-    A task whose process dies, as the system ends one when the memory is full, is tried once more; then its
-    future holds a LostProcessError. Where the block is left by an exception, as by Ctrl-C, what still runs is
-    ended.
+    If a process dies, for example because memory is full, its task is tried once more; then its future holds
+    a LostProcessError. After an exception, such as Ctrl-C, running processes are ended.
 
     Parameters
     ----------
-    workers : how many work at a time; each begins when there is a task for it
+    workers : largest number of processes; each starts when there is a task for it
     loads : modules that are loaded once for all of them
     """
 

@@ -202,7 +202,7 @@ def _excited(report: Report) -> list[str]:
 
 
 def transfers_of(report: Report) -> list[list[str]]:
-    """What stands above each panel (output, excited axis) of a sweep."""
+    """Titles of the panels (output, excited axis) of a sweep."""
     role, _ = _driven_quantity(report)
     square = len(_excited(report)) == len(report.axes) > 1
 
@@ -264,7 +264,7 @@ def _grid(report: Report, points: int, found: Iterable[tuple[Row, int, float | N
 
 
 def _operators(report: Report) -> dict[str, Figure]:
-    """Error against the number of operators, if that is what tells the models apart."""
+    """Error against the number of operators, if the models differ in it."""
     models = {
         model.label: getattr(model.identification, "operators", None) for model in report.scenario.models
     }
@@ -301,9 +301,9 @@ def _paths(report: Report) -> dict[str, Figure]:
 
 
 def _shown_quantity(report: Report) -> tuple[bool, str]:
-    """Whether paths and loops are those of the true position, and what they are called.
+    """Whether paths and loops show the true position, and their name.
 
-    What is driven by volts shows the reading, as a record does; so does what an assessment is about.
+    A drive in volts shows the reading, as a record does. An assessment of readings also shows the reading.
     """
     if report.scenario.drive is not None or report.reading_first:
         return False, "sensor's reading"

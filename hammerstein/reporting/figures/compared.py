@@ -1,4 +1,4 @@
-"""Figure of a comparison: one line a model, its errors, what its compensator leaves, its parameters."""
+"""Figure of a comparison: for each model its errors, the error of its compensator, and its parameters."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ BROAD_SHARE = 0.5
 
 
 def identified_figures(fit: Fit) -> dict[str, Figure]:
-    """Figures of a fit by name; those that the records cannot show are left out.
+    """Figures of a fit by name, without those that the records do not allow.
 
     Parameters
     ----------
@@ -81,10 +81,10 @@ def identified_figures(fit: Fit) -> dict[str, Figure]:
 
 
 def _responses(fit: Fit) -> tuple[FrequencyResponse, FrequencyResponse]:
-    """Response that records tell, and the one that they would tell of the model: by the same estimate.
+    """Responses estimated from the records, and in the same way from the predictions of the model.
 
-    Records are taken that are long enough, and on one sample time, for lines that stand close together. What
-    a window smears in the one it smears in the other.
+    Only long records on one sample time are used, so that the lines are close together. The window smears
+    both estimates alike.
     """
     least = BROAD_SHARE * max(record.samples for record in fit.records)
     long = [pair for pair in zip(fit.records, fit.starts, strict=True) if pair[0].samples >= least]
@@ -95,14 +95,14 @@ def _responses(fit: Fit) -> tuple[FrequencyResponse, FrequencyResponse]:
 
 
 def measured_loops(fit: Fit) -> Figure | None:
-    """Slowest last cycle of each input at its largest amplitude, and what the model says of it.
+    """Slowest last cycle of each input at its largest amplitude, and the prediction of the model.
 
-    Of an input that only moves together with others, the model's response to the others is taken off what was
-    measured, so that the loop of one pair is left,
+    If an input only moves together with others, the predicted response to the others is subtracted from the
+    measurement. The loop of one pair remains,
 
         y - (y_model(u) - y_model(u_k alone)),
 
-    which differs from the model's own loop by the residual of the fit, as the loop of a lone input does.
+    which differs from the model's own loop by the residual of the fit, as for an input that moves alone.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def measured_loops(fit: Fit) -> Figure | None:
 
     Returns
     -------
-    None where no record has a closed cycle
+    None if no record has a closed cycle
     """
     runs = []
     for k in range(len(fit.inputs)):
@@ -149,14 +149,14 @@ def _slowest_cycle(fit: Fit, k: int, alone: bool) -> tuple[int, slice] | None:
 
 
 def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:
-    """What the kept model leaves over time, and all of them over frequency, one row for each output.
+    """Residual of the chosen model over time, and of all models over frequency, one row for each output.
 
-    The kept model is the solid line, the others are broken.
+    The line of the chosen model is solid, the others are broken.
 
     Parameters
     ----------
     fit : what ``identify`` has found
-    record, start : on which it is drawn
+    record, start : record of the residual, and its initial state
     """
     others = [kind for kind in fit.candidates if kind != "linear" or fit.kind != "hammerstein"]
     kinds: list[Kind] = [fit.kind, *(kind for kind in others if kind != fit.kind)]
@@ -190,7 +190,7 @@ def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:
 def _draw_over_time(
     axes: Axes, error: Array, sample_time_s: float, style: Mapping[str, Any], most: int
 ) -> None:
-    """What is left over time; of many samples the band that they fill."""
+    """Residual over time; for many samples, the band that they fill."""
     factor, _ = time_axis(sample_time_s * len(error))
     time = np.asarray(factor * sample_time_s * np.arange(len(error)))
     if len(error) <= most:
@@ -222,7 +222,7 @@ def spectrum(error_um: Array, sample_time_s: float) -> tuple[Array, Array]:
 
 
 def operators_figure(fit: Fit) -> Figure:
-    """Held-out error against the number of operators; the model's own number is marked.
+    """Cross-validation error against the number of operators; the number of the model is marked.
 
     Parameters
     ----------
@@ -263,13 +263,13 @@ def operators_figure(fit: Fit) -> Figure:
 def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyResponse) -> Figure:
     """Gain of every pair over frequency, measured and by the model, and the coherence of each output.
 
-    Gains are left out where the coherence says that they are scatter.
-    That of the model is what the same estimate makes of its response to the voltages of the records.
+    Gains are not drawn where the coherence is low, because they would be scatter. The gain of the model is
+    estimated in the same way, from its response to the voltages of the records.
 
     Parameters
     ----------
     fit : what ``identify`` has found
-    measured, said : responses without a model: of the records, and of what the model makes of their voltages
+    measured, said : estimated responses of the records, and of the model's predictions
     """
     p, m = measured.response.shape[:2]
     with styled():

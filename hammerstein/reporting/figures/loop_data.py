@@ -54,7 +54,7 @@ def swept_label(trace: Trace, sweep: Sweep) -> str:
 
 
 def legend_labels(report: Report, traces: Sequence[Trace]) -> list[str]:
-    """Text of the legend for each trace: no more than what tells the curves of one figure apart."""
+    """Text of the legend for each trace: only what distinguishes the curves of one figure."""
     compared = len({trace.label for trace in traces}) > 1
     labels = []
     for trace in traces:
@@ -66,7 +66,7 @@ def legend_labels(report: Report, traces: Sequence[Trace]) -> list[str]:
 
 
 def loop_runs(report: Report, traces: Sequence[Trace], true: bool = False) -> list[LoopRun]:
-    """Mean measured cycle of each trace: reading or true position, and what the models say of the reading."""
+    """Mean measured cycle of each trace, reading or true position, and the predictions of the models."""
     labels = legend_labels(report, traces)
     return [
         loop_of(trace, label or f"{trace.signal.highest_frequency_hz:g} Hz", driven_of(report, trace), true)
@@ -93,7 +93,7 @@ def driven_of(report: Report, trace: Trace) -> int:
 
 
 def loop_of(trace: Trace, label: str, driven: int, true: bool = False) -> LoopRun:
-    """Mean measured cycle of a trace, and what a few models say of it."""
+    """Mean measured cycle of a trace, and the predictions of a few models."""
     response = trace.response
     wire = response.drive_v if response.reference_um is None else response.reference_um
     shown = trace.predictions if len(trace.predictions) <= MOST_OVERLAYS else ()

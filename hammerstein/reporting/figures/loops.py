@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 class LoopRun:
     """One input driven alone, for about one cycle.
 
-    label : what the legend calls it; runs of one label are drawn alike
+    label : name in the legend; runs of one label are drawn alike
     driven : number of the input, from 0
-    input_ : (sample,) what drives it [V] or what it should follow [um]
-    outputs_um : (output, sample) what was measured
-    predictions_um : what models say of it (output, sample), by label
+    input_ : (sample,) voltage [V] or reference [um]
+    outputs_um : (output, sample) measurement
+    predictions_um : predictions of models (output, sample), by label
     """
 
     label: str
@@ -81,11 +81,11 @@ def loops_figure(
 
     Parameters
     ----------
-    runs : what to draw; each goes into the column of the input that it drives
+    runs : loops, each in the column of the input that it drives
     input_labels : labels of the horizontal axes, with units
     output_labels : labels of the vertical axes, with units
     title : written above the legend
-    ideal : draw where a perfect compensator would be: output equal to reference, the other outputs at rest
+    ideal : draw the result of a perfect compensator: output equal to reference, the other outputs at rest
 
     Examples
     --------
@@ -123,8 +123,8 @@ def errors_figure(
 
     Parameters
     ----------
-    runs : what to draw
-    input_labels : what is driven in each column
+    runs : loops
+    input_labels : driven quantity of each column
     output_labels : labels of the vertical axes, with units
     title : written above the legend
     """

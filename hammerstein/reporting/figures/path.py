@@ -57,15 +57,15 @@ MOST_OF_A_PANEL = 4  # labels that the eye tells apart in one panel; more are sp
 class PathRun:
     """All axes driven together.
 
-    label : what the legend calls it; runs of one label are drawn alike
+    label : name in the legend; runs of one label are drawn alike
     group : the swept value, such as ``50 um``; runs of one group have the same target
     time_s : (sample,) [s]
-    target_um : (axis, sample) where the path should go; None: nothing to compare with
-    output_um : (axis, sample) where it goes
-    period_s : length of time that is drawn [s]: that after which the path closes, or the whole of one that
-        does not; the errors in the legend are those of the whole run
+    target_um : (axis, sample) wanted path; None: no comparison
+    output_um : (axis, sample) actual path
+    period_s : drawn time [s]: one period of a closed path, or all of another one; the errors in the legend
+        are those of the whole run
     closes : whether the path repeats after that time
-    lap_s : time of one turn of a path without corners [s]; 0 of any other
+    lap_s : time of one turn of a path without corners [s]; 0 for any other path
     """
 
     label: str
@@ -108,15 +108,15 @@ UPRIGHT_LETTERS = 15
 def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str, title: str = "") -> Figure:
     """Path in the plane and each axis over time, as in the paper's Figs. 10 to 13.
 
-    All groups share the plane; over time the group with the largest target is shown. The plane is left out
-    unless there are two axes. Where there are more labels than one panel holds, panels of the same kind share
-    them: planes alone, where there are two axes. The legend gives the worst distance.
+    All groups share the plane; over time the group with the largest target is shown. The plane needs two
+    axes. If there are more labels than one panel holds, several panels of the same kind share them: only
+    planes, if there are two axes. The legend gives the worst distance.
 
     Parameters
     ----------
-    runs : what to draw
+    runs : paths
     axes_names : name of each axis
-    target : what the dashed line is, such as ``reference``
+    target : name of the dashed line, such as ``reference``
     title : written above the legend
     """
     with styled():
@@ -185,7 +185,7 @@ def _parts(runs: Sequence[PathRun]) -> list[list[str]]:
 
 
 def _error_labels(axes_names: Sequence[str]) -> list[str]:
-    """What stands beside each panel of errors."""
+    """Label beside each panel of errors."""
     length = "distance" if len(axes_names) > 1 else "size of error"
     return [f"{length} [µm]", *(f"{symbol(name, 'error')} [µm]" for name in axes_names)]
 
@@ -212,7 +212,7 @@ def _largest_group(runs: Sequence[PathRun]) -> str:
 
 
 def _of_different_sizes(runs: Sequence[PathRun]) -> bool:
-    """Whether the paths of the groups differ in size, so that the plane tells one from the other."""
+    """Whether the paths of the groups differ in size, so that the plane distinguishes them."""
     sizes: dict[str, float] = {}
     for run in runs:
         path = run.output_um if run.target_um is None else run.target_um
@@ -326,19 +326,19 @@ FEWEST_OF_A_SPLINE = 4
 
 
 def smooth_path(time_s: Array, path: Array, period_s: float, lap_s: float, closed: bool) -> Array:
-    """Points (axis, point) of one period of a smooth path of which few samples are known.
+    """Points (axis, point) of one period of a smooth path with few samples.
 
     A closed path is drawn by its harmonics, found by least squares from all samples,
 
         p(t) = c + sum_h a_h cos(2 pi h t / T) + b_h sin(2 pi h t / T),
 
-    as many as the samples of one period tell; an open one by a cubic spline over time.
+    as many as the samples of one period determine; an open path is drawn by a cubic spline over time.
 
     Parameters
     ----------
     time_s : (sample,) times [s]
     path : (axis, sample)
-    period_s : time that is drawn [s]; of a closed path that after which it closes
+    period_s : drawn time [s]; for a closed path, its period
     lap_s : time of one turn [s]
     closed : whether the path repeats
 

@@ -94,8 +94,8 @@ _LOCK = threading.RLock()
 def styled() -> Iterator[None]:
     """Draw in this style, whatever the user's own; one thread at a time.
 
-    A figure is thousands of small objects that live until it is done: to search them for garbage meanwhile
-    takes a sixth of the time.
+    A figure consists of thousands of small objects that live until it is finished. Searching them for garbage
+    meanwhile would take a sixth of the time.
     """
     import matplotlib as mpl
 

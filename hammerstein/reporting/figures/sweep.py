@@ -46,10 +46,10 @@ APART = 0.012
 class SweepCurve:
     """One compensator or model over frequency, or over another swept value.
 
-    label : what the legend calls it
+    label : name in the legend
     x : (point,) frequency [Hz] or another swept value, positive and increasing
     values : (output, input, point); NaN where there is none
-    mark : where a tick stands on the curve, such as the frequency of its identification; None: nowhere
+    mark : position of a tick on the curve, such as the frequency of its identification; None: no tick
     band : lower and upper edge around the curve, each as ``values``; None: no band
     nominal : (output, input, point) drawn thin beside the curve, which is then the median of its band
     """
@@ -69,14 +69,14 @@ def sweep_figure(
     title: str = "",
     x_label: str = "frequency [Hz]",
 ) -> Figure:
-    """Curves against frequency in the paper's arrangement (Figs. 7, 9), in several rows where they are many.
+    """Curves against frequency in the paper's arrangement (Figs. 7, 9), in several rows if there are many.
 
-    A vertical tick on a curve stands at the frequency of its identification.
+    A vertical tick on a curve marks the frequency of its identification.
 
     Parameters
     ----------
-    curves : what to draw
-    panel_titles : what stands above each panel (output, input)
+    curves : the curves
+    panel_titles : titles of the panels (output, input)
     quantity : label of the vertical axes, with unit
     title : written above the legend
     x_label : label of the horizontal axes, with unit

@@ -137,7 +137,7 @@ def _short(name: str, value: str) -> str:
 def _part(
     kind: str, elements: Sequence[ElementTree.Element], box: Bbox, height_pt: float
 ) -> ElementTree.Element:
-    """What stands in a room of a drawing, as a drawing of its own."""
+    """One region of a drawing as a drawing of its own."""
     room = (box.x0 - EDGE_PT, height_pt - box.y1 - EDGE_PT, box.width + 2 * EDGE_PT, box.height + 2 * EDGE_PT)
     place = dict(zip(("x", "y", "width", "height"), (f"{length:.2f}" for length in room), strict=True))
     part = ElementTree.Element(f"{SVG}svg", {"class": kind, "viewBox": " ".join(place.values()), **place})

@@ -1,4 +1,4 @@
-"""Plots to zoom into, by bokeh: its own bundle goes into the page, so that it fetches nothing."""
+"""Plots to zoom into, by bokeh, whose bundle is in the page, so that the page loads nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLACE = "plots"
 class Interactive:
     """Plots of a page.
 
-    body : where they stand; scripts : what fills them
+    body : their places in the page; scripts : scripts that fill them
     """
 
     body: Markup

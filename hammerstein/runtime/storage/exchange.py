@@ -18,10 +18,10 @@ EDITED = "edited"
 
 
 class Exchange(Strict):
-    """What is exchanged, as the journal says it.
+    """Files of an exchange, as the journal lists them.
 
     leaving : files of earlier runs that are replaced or removed, with their digests
-    coming : new files, with theirs; the last one is the manifest
+    coming : new files, with their digests; the last one is the manifest
     """
 
     leaving: dict[FileName, str]
@@ -50,7 +50,7 @@ def exchange(folder: Path, room: Path, plan: Exchange) -> tuple[Path, ...]:
 
 
 def recover(folder: Path, room: Path) -> tuple[Path, ...]:
-    """Finish what somebody left in the middle, or undo it; clear the room.
+    """Finish or undo an interrupted exchange, and remove its temporary folder.
 
     Raises InputError where a step would follow a link.
     """
@@ -121,7 +121,7 @@ def _carry_out(folder: Path, room: Path, plan: Exchange) -> tuple[Path, ...]:
 
 
 def _put_away(folder: Path, room: Path, name: str, plan: Exchange) -> bool:
-    """Take a file out of the folder if it still is the one that is to leave."""
+    """Move a file out of the folder if it is still the file that is to be replaced."""
     if name in plan.leaving and is_own_file(folder, name, plan.leaving[name]):
         os.replace(folder / name, room / OLD / name)
         return True

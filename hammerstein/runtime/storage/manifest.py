@@ -28,13 +28,13 @@ _NO_NAME = re.compile(r'[\x00-\x1f\x7f-\x9f/\\<>:"|?*]')
 
 @dataclass(frozen=True)
 class Owner:
-    """Which command writes a file or a set of files.
+    """Command that writes a file or a set of files.
 
-    name : as it stands in the manifest
-    replaces : whose files of an earlier run are removed, beside its own
-    single : whether each of its files stands alone: others of an earlier run stay, and it takes the place of
-        no file of another command
-    listed : whether its files stand in the manifest; others are the user's own from the start
+    name : its name in the manifest
+    replaces : other owners whose files of an earlier run are removed
+    single : whether each file is independent: other files of an earlier run stay, and it replaces no file of
+        another command
+    listed : whether the manifest lists its files; others belong to the user from the start
     """
 
     name: str
@@ -66,7 +66,7 @@ def is_inside(name: str) -> bool:
 
 
 def _is_part(name: str) -> bool:
-    """Whether this system takes a text for the name of one file, and shows all of it."""
+    """Whether a text is the name of one file on this system, and completely visible."""
     return is_name(name) if os.name == "nt" else name != ".." and name.isprintable()
 
 
@@ -127,13 +127,13 @@ class Manifest:
     def refuse_foreign(
         self, names: Iterable[str], owner: Owner, overwrite: bool = False, option: str = ""
     ) -> None:
-        """Refuse to write under names that other files have; InputError names them all.
+        """Raise InputError, with all names, if other files have the names to be written.
 
         Parameters
         ----------
-        names, owner : what is to be written, and by whom
+        names, owner : files to be written, and their owner
         overwrite : whether ordinary files may be replaced, whoever wrote them
-        option : what named the file, such as ``--out``; the folder is named if not given
+        option : option with the file, such as ``--out``; default: the folder
         """
         found = [name for name in names if self.holder(name, owner) is Holder.FOREIGN]
         if overwrite:
@@ -197,7 +197,7 @@ def refuse_file_name(option: str, path: Path) -> None:
 
 
 def refuse_link(folder: Path) -> None:
-    """Refuse a folder that is a link: what is written into it would go elsewhere."""
+    """Refuse a folder that is a link, because files would be written elsewhere."""
     if is_link(folder):
         raise InputError(
             str(folder), f"is a link to {os.path.realpath(folder)}; name that folder, or remove the link"

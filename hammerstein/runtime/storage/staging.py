@@ -178,21 +178,21 @@ class Stage:
         self.kept += exchange(self.folder, self._room, Exchange(leaving=leaving, coming=self._digests))
 
     def _loses_nothing(self, name: str, digest: str) -> bool:
-        """Whether the file that is there is empty, or what is to be written."""
+        """Whether the existing file is empty, or equal to the new one."""
         return any(is_own_file(self.folder, name, one) for one in (digest, EMPTY))
 
 
 @contextmanager
 def staged(folder: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stage]:
-    """Make files inside the block; at its end they take the place of those of an earlier run.
+    """Make files inside the block; at its end they replace those of an earlier run.
 
-    Of the earlier run only what its manifest lists, with the very digest, is removed. What a person has
-    changed is kept under another name, everything else stays as it is. Where the block is left by an
-    exception, nothing has happened.
+    Only files that the manifest of the earlier run lists, with equal digests, are removed. A file that a
+    person changed is kept under another name; everything else stays as it is. If the block ends with an
+    exception, nothing changes.
 
     Parameters
     ----------
-    folder : where the files go; made if it does not exist
+    folder : folder for the files; created if it does not exist
     owner : which command writes them
     overwrite : whether they replace files that the command did not write, or that a person changed
 
@@ -220,15 +220,15 @@ def staged(folder: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stag
 def prepare(
     folder: Path, owner: Owner, names: Sequence[str], overwrite: bool = False, option: str = ""
 ) -> None:
-    """Finish what an interrupted run left in a folder, and refuse other people's files, before the work.
+    """Finish or undo an interrupted run in a folder, and refuse other people's files, before the work.
 
     Parameters
     ----------
     folder : where files will go
     owner : which command will write them
-    names : names that are certain to be written
+    names : names that will certainly be written
     overwrite : whether they replace files that the command did not write, or that a person changed
-    option : what named the file, such as ``--out``; the folder is named if not given
+    option : option with the folder, such as ``--out``; default: the folder
 
     Raises
     ------
@@ -245,11 +245,11 @@ def prepare(
 
 
 def prepare_file(option: str, path: Path, owner: Owner, overwrite: bool = False) -> None:
-    """Refuse a file that ``write_file`` could not write, before the work; InputError says why.
+    """Raise InputError, before the work, for a file that ``write_file`` could not write.
 
     Parameters
     ----------
-    option : what named the file, such as ``--out``
+    option : option with the file, such as ``--out``
     path, owner, overwrite : as for ``write_file``
     """
     refuse_unwritable(option, path.parent)
