@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,12 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Drive
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.reach import Shortfall, shortfall
-from hammerstein.errors import InputError
+from hammerstein.errors import HammersteinError, InputError
 from hammerstein.model import HammersteinModel
 from hammerstein.validation import mistakes_of
 
+WIDER = 100.0
+"""Spans beyond each end that a drive may use which shows what a path needs."""
 LawLike = str | Compensator
 """A law by its name in a scenario, or a compensator."""
 
@@ -53,6 +55,22 @@ class Attempt:
         predicted = shortfall(model, law, reference_um, asked, drive.sample_time_s, sent)
         return cls(law, reference_um, lead, sent, predicted)
 
+    def limited_um(self, model: HammersteinModel, limits: DriveRange, compensator: Compensator) -> Array:
+        """Largest change (p,) of the motion on the path by the ends of the range [um].
+
+        A law that leaves an error of its own leaves it within the range, too. Where no drive is found without
+        ends, the whole error counts.
+        """
+        wide = widened(limits)
+        if wide is None:
+            return self.path_error_um
+        try:
+            free = Attempt.of(model, wide, compensator, self.reference_um, self.lead)
+        except HammersteinError:
+            return self.path_error_um
+        change = self.predicted.error_um - free.predicted.error_um
+        return np.asarray(np.abs(change[:, self.lead :]).max(axis=1))
+
     @property
     def path_error_um(self) -> Array:
         """Largest error of each output (p,) on the path, without its lead-in [um]."""
@@ -68,6 +86,14 @@ def drive_within(model: HammersteinModel, limits: DriveRange) -> Drive:
     """Converter and amplifier of a model with another range."""
     ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
     return model.instruments.drive.model_copy(update={"range_v": ends})
+
+
+def widened(limits: DriveRange) -> DriveRange | None:
+    """The range with ends far away; None where it has none, or conditions beside them."""
+    span = WIDER * limits.span_v
+    if limits.conditioned or not np.isfinite(span).all():
+        return None
+    return replace(limits, low_v=limits.low_v - span, high_v=limits.high_v + span)
 
 
 def sensorless_law(

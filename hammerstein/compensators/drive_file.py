@@ -283,7 +283,9 @@ def compensation_of(
     found = Attempt.of(model, limits, compensator, np.hstack([before, path]), before.shape[1])
     prediction = Prediction.of(model, found)
     own = np.zeros(len(path)) if prediction.model is None else prediction.model
-    held = not found.predicted.complete and bool((found.path_error_um <= own).all())
+    held = not found.predicted.complete and bool(
+        (found.path_error_um <= own).all() or (found.limited_um(model, limits, compensator) <= own).all()
+    )
     reachable = reach(model, limits, run_anyway=True)
     if not (terms.clip or held or found.predicted.complete):
         moved_already = terms.offset_um is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,15 +11,13 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators import Compensator
-from hammerstein.compensators.attempt import Attempt, sensorless_law
+from hammerstein.compensators.attempt import Attempt, sensorless_law, widened
 from hammerstein.compensators.lead_in import lead_in
 from hammerstein.compensators.reach import Reach
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0  # frequencies tried, and how far below Nyquist
-WIDER = 100.0
-"""Spans beyond each end that a drive may use which shows what a path needs."""
 SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)
 """Parts of the range over which the jump at a reversal is spread."""
 
@@ -94,11 +92,9 @@ class Missed:
 
     def _free_drive(self) -> Array | None:
         """Voltages (m, N) that the path needs where nothing limits them; None where there are none."""
-        span = WIDER * self.limits.span_v
-        if self.limits.conditioned or not np.isfinite(span).all():
+        wide, drive = widened(self.limits), self.model.instruments.drive
+        if wide is None:
             return None
-        wide = replace(self.limits, low_v=self.limits.low_v - span, high_v=self.limits.high_v + span)
-        drive = self.model.instruments.drive
         try:
             law = sensorless_law(self.compensator, {}, self.model, wide, drive.sample_time_s)
             return law.drive_for(self.found.reference_um)

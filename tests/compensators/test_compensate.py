@@ -8,6 +8,7 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.compensators.drive_file import compensate
+from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step
 
@@ -231,6 +232,22 @@ def test_a_miss_below_the_models_own_error_is_held_at_the_range(tmp_path, capsys
     far = _path(tmp_path, x - 0.5, "far.csv")
     assert _call("compensate", "stage.json", far, "--law", "exact_inverse", "--out", "far_drive.csv") == 3
     assert not (tmp_path / "far_drive.csv").exists()
+
+
+def test_a_law_that_lags_is_not_refused_for_a_miss_at_rest(tmp_path, capsys, monkeypatch):
+    """The inverse of the hysteresis alone misses 1 um by the lag, with and without 5 nm below rest."""
+    monkeypatch.chdir(tmp_path)
+    lagging = dataclasses.replace(_stage(tmp_path), dynamics=AxesDynamics(axes=(Axis(lag_s=5e-4),)))
+    lagging.save(tmp_path / "lagging.json")
+    x = 40.0 * smooth_step(np.arange(-50, 750) / 700.0)
+    for name, path_um in (("within", x), ("below", x - 0.005)):
+        path = _path(tmp_path, path_um, f"{name}.csv")
+        said = _call(
+            "compensate", "lagging.json", path, "--law", "exact_inverse", "--out", f"{name}_drive.csv"
+        )
+        assert said == 0, name
+    far = _path(tmp_path, x - 0.5, "far.csv")
+    assert _call("compensate", "lagging.json", far, "--law", "exact_inverse", "--out", "far_drive.csv") == 3
 
 
 @pytest.mark.parametrize("kind", ["far", "below"])
