@@ -6,7 +6,7 @@ import io
 import json
 import os
 import sys
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -23,10 +23,6 @@ from hammerstein.commands import (
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.errors import SimulationError
-
-if TYPE_CHECKING:
-    from typer.models import CommandInfo
-
 
 SMALLEST_BYTES = 1e9
 """Addresses that a command takes: with 0.7 GB `compensate` and `identify` fail in a library, with this
@@ -62,31 +58,7 @@ app = typer.Typer(
 )
 
 
-def _example(command: str) -> str:
-    """Text below the options of a command: an example that works in a folder made by ``init``."""
-    return f"\b\nExample: hammerstein {command}"  # \b: not to be broken into several lines
-
-
 COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
-SHORT = {
-    "init": "Create a working folder with an example.",
-    "guide": "Read the guide.",
-    "show": "Print the content of a file.",
-    "loops": "Measure hysteresis loops in records.",
-    "identify": "Identify a model from records and report its errors.",
-    "compare": "Fit every kind of model to records and recommend one.",
-    "compensate": "Compute the voltages that follow a path.",
-    "play": "Simulate a model's response to voltages.",
-    "degauss": "Write a drive that erases an actuator's history.",
-    "export": "Export a law or a model as C code or as an FMU.",
-    "run": "Run scenarios and write their reports.",
-    "sweep": "Run a scenario for many values of its keys.",
-    "check": "Compare scenarios with their accepted numbers.",
-    "plot": "Draw the figures of one scenario.",
-    "actuators": "List the packaged actuators.",
-    "schema": "Print the JSON Schema of scenario files.",
-}
-"""Every command in a line, in the order of a person's work."""
 USAGE: Any = typer.BadParameter.__base__
 """What a command line that is no command line raises; Typer has it from click, or has click inside."""
 PRINTED = ("schema", "actuators", "show", "guide")
@@ -117,33 +89,28 @@ def _before(
 
 
 def _register() -> None:
-    """Register every command, in the order of a person's work."""
-    app.command(epilog=_example("run circle.toml"))(scenarios.run)
-    app.command(epilog=_example("check . --html check.html"))(scenarios.check)
-    app.command(epilog=_example("schema > scenario.schema.json"))(schema)
-    app.command(epilog=_example("actuators"))(actuators)
-    app.command(epilog=_example("plot circle.toml"))(scenarios.plot)
+    """Register every command with an example, in the order of a person's work."""
     records = f"record_x.csv record_y.csv {COLUMNS}"
-    app.command(epilog=_example(f"loops {records}"))(record_commands.loops)
-    app.command(epilog=_example(f"identify {records} --out own.json"))(record_commands.identify)
-    quick = "--operators 8 --dynamics second_order"
-    app.command(epilog=_example(f"compare {records} {quick}"))(comparing.compare)
-    app.command(epilog=_example("compensate stage.json path.csv --out drive.csv"))(record_commands.compensate)
-    app.command(epilog=_example("export stage.json --law exact_inverse --out c_code"))(export_command.export)
-    app.command(epilog=_example("sweep circle.toml --out rows.csv"))(study_commands.sweep)
-    app.command(epilog=_example("play stage.json drive.csv --out played.csv"))(start.play)
-    app.command(epilog=_example("degauss stage.json --out degauss.csv"))(degaussing.degauss)
-    app.command(epilog=_example("init my_stage"))(start.init)
-    app.command(epilog=_example("show stage.json"))(start.show)
-    app.command(epilog=_example("guide start"))(start.guide)
-    for command in app.registered_commands:
-        command.short_help = SHORT[_name(command)]
-    app.registered_commands.sort(key=lambda command: list(SHORT).index(_name(command)))
-
-
-def _name(command: CommandInfo) -> str:
-    assert command.callback is not None
-    return command.name or command.callback.__name__
+    for command, example in (
+        (start.init, "init my_stage"),
+        (start.guide, "guide start"),
+        (start.show, "show stage.json"),
+        (record_commands.loops, f"loops {records}"),
+        (record_commands.identify, f"identify {records} --out own.json"),
+        (comparing.compare, f"compare {records} --operators 8 --dynamics second_order"),
+        (record_commands.compensate, "compensate stage.json path.csv --out drive.csv"),
+        (start.play, "play stage.json drive.csv --out played.csv"),
+        (degaussing.degauss, "degauss stage.json --out degauss.csv"),
+        (export_command.export, "export stage.json --law exact_inverse --out c_code"),
+        (scenarios.run, "run circle.toml"),
+        (study_commands.sweep, "sweep circle.toml --out rows.csv"),
+        (scenarios.check, "check . --html check.html"),
+        (scenarios.plot, "plot circle.toml"),
+        (actuators, "actuators"),
+        (schema, "schema > scenario.schema.json"),
+    ):
+        # \b: not to be broken into several lines
+        app.command(epilog=f"\b\nExample: hammerstein {example}")(command)
 
 
 def _one_thread_a_job() -> None:
@@ -192,7 +159,10 @@ def _message_of(mistake: Any) -> str:
 
 
 def schema() -> None:
-    """Print the JSON Schema of scenario files, for editors."""
+    """Print the JSON Schema of scenario files.
+
+    Editors complete and check scenarios with it.
+    """
     from hammerstein.plugins import load_plugins
     from hammerstein.scenario import Scenario
 

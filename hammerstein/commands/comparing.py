@@ -31,7 +31,10 @@ def compare(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Fit every kind of hysteresis and the linear models to the same records, and recommend one."""
+    """Fit every kind of model to records and recommend one.
+
+    That is every kind of hysteresis, and linear models.
+    """
     from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.files import refuse_unwritable

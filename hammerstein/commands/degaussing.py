@@ -26,7 +26,10 @@ def degauss(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a decaying alternation that erases the history of an actuator."""
+    """Write a drive that erases an actuator's history.
+
+    The drive is a decaying alternation.
+    """
     from hammerstein.commands.refusals import refuse_output, write_output
     from hammerstein.compensators.degauss import degauss_drive
     from hammerstein.compensators.drive_file import DRIVE, Terms

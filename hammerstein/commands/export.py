@@ -37,7 +37,10 @@ def export(
     overwrite: Overwrite = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Export a law, or the model itself, as code that runs without Python."""
+    """Export a law or a model as C code or as an FMU.
+
+    The code runs without Python.
+    """
     from hammerstein.commands.refusals import told_by_options
     from hammerstein.errors import InputError
 

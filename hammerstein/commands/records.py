@@ -63,7 +63,10 @@ def loops(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the hysteresis loops in records: height, width, area, closure, drift."""
+    """Measure hysteresis loops in records.
+
+    Of each loop: height, width, area, closure, drift.
+    """
     from hammerstein.commands.terminal_tables import gains_table
     from hammerstein.errors import InputError
     from hammerstein.files import refuse_unwritable
@@ -152,7 +155,10 @@ def identify(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a model from measured records and report its errors and limits."""
+    """Identify a model from records and report its errors.
+
+    The report has the limits of the model, too.
+    """
     from hammerstein.commands.terminal_tables import fit_table, kept_aside
     from hammerstein.files import refuse_unwritable
     from hammerstein.identification.in_loop.identify import LoopSettings
@@ -262,7 +268,10 @@ def compensate(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compute the voltages that follow a path, and the predicted response."""
+    """Compute the voltages that follow a path.
+
+    The predicted response is written beside them.
+    """
     from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
     from hammerstein.commands.terminal_tables import compensation_table
     from hammerstein.commands.watch import watched

@@ -62,9 +62,9 @@ def run(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run scenarios and write a report for each: numbers, a page, figures.
+    """Run scenarios and write their reports.
 
-    Results are cached and not computed twice.
+    A report has numbers, a page and figures. Results are cached and not computed twice.
     """
     from hammerstein.errors import InputError
     from hammerstein.experiment.batch import load_all
@@ -279,7 +279,10 @@ def check(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run scenarios again and compare every number with its baseline."""
+    """Compare scenarios with their accepted numbers.
+
+    They are run again, and every number is compared with its baseline.
+    """
     from hammerstein.commands.refusals import write_output
     from hammerstein.experiment.batch import load_all
     from hammerstein.regression.check import check_files

@@ -26,7 +26,10 @@ def init(
         ),
     ] = None,
 ) -> None:
-    """Create a working folder: records, a model, a scenario, its numbers, and the next steps."""
+    """Create a working folder with an example.
+
+    It has records, a model, a scenario, its numbers, and the next steps.
+    """
     from hammerstein.commands.working_folder import folder_of, own_folder, refuse_started
 
     there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
@@ -50,7 +53,10 @@ def show(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Print the content of a file, without running anything."""
+    """Print the content of a file.
+
+    Nothing is run.
+    """
     from hammerstein.commands.contents import contents_of
     from hammerstein.commands.terminal_tables import facts_table
     from hammerstein.model import packaged_actuators, place_of
@@ -112,7 +118,10 @@ def play(
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate a model's response to voltages and write it to a file: the counterpart of compensate."""
+    """Simulate a model's response to voltages.
+
+    It is written to a file: the counterpart of compensate.
+    """
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.refusals import refuse_output, write_output
     from hammerstein.commands.terminal_tables import played_table

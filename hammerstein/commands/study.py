@@ -41,10 +41,11 @@ def sweep(
     ] = False,
     yes: Yes = False,
 ) -> None:
-    """Run a scenario for many values of its keys, as lists or samples, and write one table of all rows.
+    """Run a scenario for many values of its keys.
 
-    Rows are written as soon as they are computed, so memory does not grow with their number. Results are
-    cached, and an interrupted sweep continues where it stopped.
+    The values are lists or samples, and one table has all rows. They are written as soon as they are
+    computed, so memory does not grow with their number. Results are cached, and an interrupted sweep
+    continues where it stopped.
     """
     from hammerstein.experiment.study import sampled, study_of
     from hammerstein.runtime import store as kept_results
