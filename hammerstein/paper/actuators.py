@@ -16,53 +16,146 @@ partition cannot be the actuator itself; its slopes follow those of the first.
 
 from __future__ import annotations
 
+import math
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from pydantic import JsonValue
 
 import hammerstein.actuators
 from hammerstein.arrays import Array
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
     CreepMode,
+    StaticDynamics,
+    discretise,
     natural_frequency_hz,
 )
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.errors import InputError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
 from hammerstein.model import HammersteinModel
-from hammerstein.paper.readings import actuator_of, block_behind
 
 COMMAND = "python -m hammerstein.paper.actuators"
+SOURCE = "paper, equations 12 and 13, static block found behind dynamics and sensor"
 DENSE = 28  # thresholds of the dense actuator, uniform in voltage
+LEAST_DAMPING = 0.12  # the least that keeps a 10 V sine up to 420 Hz within the sensor's range
 
 # Name, reading of "bandwidth", damping, whether the sensor lags, and what it is: see reports/paper/readings.
 READ = (
+    ("duo_bimorph", "-3 dB", LEAST_DAMPING, True, "-3 dB at 430 and 470 Hz"),
+    ("duo_bimorph_resonant", "resonance", 0.15, True, "resonance at 430 and 470 Hz"),
     ("duo_bimorph_paper", "+3 dB", 0.01, False, "gain up by 3 dB at 430 and 470 Hz, sensor without lag"),
     ("duo_bimorph_static_read", None, 0.0, True, "no dynamics, printed table corrected for the sensor"),
 )
-
 
 # Slow modes as soft PZT has them (some per cent a decade); the paper gives no numbers, only that creep is
 # felt below 0.05 Hz.
 CREEP = tuple(CreepMode(gain=g, time_constant_s=t) for g, t in ((0.03, 3.0), (0.05, 30.0), (0.05, 300.0)))
 
+FREQUENCY_HZ = 50.0  # of the sine that the paper identifies with
+SMOOTHNESS = 1.0  # weight of a second difference of 1 um/V against an error of 1 um in one of 400 samples
+CYCLES = 12  # the resonances ring for four cycles; the last one is used
+BANDWIDTH_HZ = (430.0, 470.0)
+"""Bandwidths of the two axes (section 5.1: 400-500 Hz)."""
+RISE = 10.0 ** (3.0 / 20.0)
+"""A gain 3 dB above that at rest."""
 
-def bandwidth_axes() -> AxesDynamics:
-    """Axes whose -3 dB bandwidth is 430 and 470 Hz (paper, section 5.2: between 400 and 500 Hz)."""
-    damping = 0.12  # the least that keeps a 10 V sine up to 420 Hz within the sensor's range
-    return AxesDynamics(
-        axes=tuple(
-            Axis(resonance_hz=natural_frequency_hz(f, damping), damping_ratio=damping) for f in (430.0, 470.0)
+
+def rising_resonance_hz(frequency_hz: float, damping_ratio: float) -> float:
+    """Resonance of a second-order axis whose gain has risen by 3 dB at a frequency.
+
+        (1 - q)^2 + 4 zeta^2 q = 10^(-3/10),   q = (f / f_n)^2, the smaller root
+
+    Raises InputError where the gain never rises so far.
+
+    >>> round(rising_resonance_hz(430.0, 0.05), 1)
+    792.9
+    """
+    half = 1.0 - 2.0 * damping_ratio**2
+    inner = half**2 - (1.0 - RISE**-2)
+    if inner < 0.0 or half <= 0.0:
+        raise InputError("damping_ratio", f"{damping_ratio:g} is too much for a rise of 3 dB")
+    return frequency_hz / math.sqrt(half - math.sqrt(inner))
+
+
+READINGS: dict[str, Callable[[float, float], float]] = {
+    "-3 dB": natural_frequency_hz,
+    "resonance": lambda frequency_hz, damping_ratio: frequency_hz,
+    "+3 dB": rising_resonance_hz,
+}
+"""What "bandwidth" may mean: from its frequency and the damping to the resonance of the axis [Hz]."""
+
+
+def block_behind(printed: HammersteinModel, dynamics: AxesDynamics | StaticDynamics) -> PrandtlIshlinskii:
+    """Static block that gives the printed loop when it is measured through dynamics and sensor.
+
+    printed : the printed table, without dynamics
+    dynamics : the axes in front of which the block shall stand
+    """
+    instruments = printed.instruments
+    sample_time_s = instruments.drive.sample_time_s
+    period = round(1.0 / (FREQUENCY_HZ * sample_time_s))
+    time_s = np.arange(CYCLES * period) * sample_time_s
+    u = printed.amplitude_v * np.sin(2.0 * np.pi * FREQUENCY_HZ * time_s)
+    block = discretise(dynamics, sample_time_s, instruments.sensor.bandwidth_hz)
+    rows = []
+    assert isinstance(printed.hysteresis, PrandtlIshlinskii)
+    for o, row in enumerate(printed.hysteresis.pairs):
+        rows.append(tuple(_pair_behind(pair, u, block.respond, o, period) for pair in row))
+    return PrandtlIshlinskii(tuple(rows))
+
+
+def _pair_behind(pair: Pair, u: Array, respond, output: int, period: int) -> Pair:  # type: ignore[no-untyped-def]
+    plays = play(u, pair.thresholds_v)
+    outputs = 2
+    regressors = []
+    for operator in plays:
+        v = np.zeros((outputs, len(u)))
+        v[output] = operator
+        both, _ = respond(v)
+        regressors.append(both[outputs + output, -period:])
+    wanted = (pair.weights_um_per_v @ plays)[-period:]
+    return Pair(pair.thresholds_v, _smoothest(np.array(regressors), wanted))
+
+
+def _smoothest(regressors: Array, wanted: Array) -> Array:
+    """Weights (operator,) whose partial sums explain a loop and bend least."""
+    n = len(regressors)
+    to_weights = np.eye(n) - np.eye(n, k=-1)  # weights are the differences of the slopes
+    bends = np.diff(np.eye(n), 2, axis=0)
+    rows = np.vstack([regressors.T @ to_weights, SMOOTHNESS * bends])
+    slopes, *_ = np.linalg.lstsq(rows, np.concatenate([wanted, np.zeros(n - 2)]), rcond=None)
+    return np.asarray(to_weights @ slopes)
+
+
+def actuator_of(
+    printed: HammersteinModel, reading: str | None, damping_ratio: float, lag: bool
+) -> HammersteinModel:
+    """Actuator whose loop at 50 Hz and 10 V is the printed one under a reading.
+
+    Parameters
+    ----------
+    printed : the printed table, without dynamics
+    reading : one of ``READINGS``; None: no dynamics
+    damping_ratio : of both axes
+    lag : whether the sensor has its 2 kHz, in identification and judgement; else its reading is prompt
+    """
+    sensor = printed.instruments.sensor
+    if not lag:
+        sensor = sensor.model_copy(update={"bandwidth_hz": Instruments.ideal().sensor.bandwidth_hz})
+    instruments = printed.instruments.model_copy(update={"sensor": sensor})
+    told = replace(printed, instruments=instruments)
+    dynamics: AxesDynamics | StaticDynamics = StaticDynamics(n_outputs=len(printed.outputs))
+    if reading is not None:
+        resonances = (READINGS[reading](frequency, damping_ratio) for frequency in BANDWIDTH_HZ)
+        dynamics = AxesDynamics(
+            axes=tuple(Axis(resonance_hz=f, damping_ratio=damping_ratio) for f in resonances)
         )
-    )
-
-
-def resonant_axes() -> AxesDynamics:
-    """Axes whose resonance is at 430 and 470 Hz: the other reading of "bandwidth"."""
-    return AxesDynamics(axes=tuple(Axis(resonance_hz=f, damping_ratio=0.15) for f in (430.0, 470.0)))
+    return replace(told, hysteresis=block_behind(told, dynamics), dynamics=dynamics)
 
 
 def with_thresholds(block: PrandtlIshlinskii, thresholds_v: Array, amplitude_v: float) -> PrandtlIshlinskii:
@@ -90,58 +183,34 @@ def with_thresholds(block: PrandtlIshlinskii, thresholds_v: Array, amplitude_v: 
 def build(folder: Path) -> list[Path]:
     """Write the actuators of the paper into a folder; the printed table must stand there."""
     printed = HammersteinModel.load(folder / "duo_bimorph_static.json")
-    creeping = AxesDynamics(
-        axes=tuple(axis.model_copy(update={"creep": CREEP}) for axis in bandwidth_axes().axes)
-    )
-    made = {
-        "duo_bimorph": (bandwidth_axes(), bandwidth_axes(), "-3 dB at 430 and 470 Hz"),
-        "duo_bimorph_resonant": (resonant_axes(), resonant_axes(), "resonance at 430 and 470 Hz"),
-        "duo_bimorph_creep": (bandwidth_axes(), creeping, "-3 dB at 430 and 470 Hz, with creep"),
-    }
-    paths = []
-    for name, (fast, dynamics, reading) in made.items():
-        model = replace(
-            printed,
-            name=name,
-            hysteresis=block_behind(printed, fast),
-            dynamics=dynamics,
-            provenance={
-                "source": "paper, equations 12 and 13, static block found behind dynamics and sensor",
-                "bandwidth": reading,
-                "command": COMMAND,
-            },
-        )
-        paths.append(folder / f"{name}.json")
-        model.save(paths[-1])
-    paths += [_read(folder, printed, *told) for told in READ]
-    return [*paths, _dense(folder, HammersteinModel.load(paths[0]))]
+    made = [
+        _named(actuator_of(printed, reading, damping, lag), name, words)
+        for name, reading, damping, lag, words in READ
+    ]
+    made += [_creeping(made[0]), _dense(made[0])]
+    for model in made:
+        model.save(folder / f"{model.name}.json")
+    return [folder / f"{model.name}.json" for model in made]
 
 
-def _read(
-    folder: Path,
-    printed: HammersteinModel,
-    name: str,
-    reading: str | None,
-    damping: float,
-    lag: bool,
-    words: str,
-) -> Path:
-    """An actuator that follows from a reading of the paper."""
-    provenance: JsonValue = {
-        "source": "paper, equations 12 and 13, static block found behind dynamics and sensor",
-        "bandwidth": words,
-        "command": COMMAND,
-    }
-    model = replace(actuator_of(printed, reading, damping, lag), name=name, provenance=provenance)
-    path = folder / f"{name}.json"
-    model.save(path)
-    return path
+def _named(model: HammersteinModel, name: str, words: str) -> HammersteinModel:
+    """An actuator that follows from a reading of the paper, with its origin."""
+    return replace(model, name=name, provenance={"source": SOURCE, "bandwidth": words, "command": COMMAND})
 
 
-def _dense(folder: Path, model: HammersteinModel) -> Path:
+def _creeping(model: HammersteinModel) -> HammersteinModel:
+    """The same actuator with creep behind its axes."""
+    assert isinstance(model.dynamics, AxesDynamics)
+    axes = tuple(axis.model_copy(update={"creep": CREEP}) for axis in model.dynamics.axes)
+    creeping = replace(model, dynamics=AxesDynamics(axes=axes))
+    return _named(creeping, "duo_bimorph_creep", f"{READ[0][-1]}, with creep")
+
+
+def _dense(model: HammersteinModel) -> HammersteinModel:
+    """Slopes of an actuator through other thresholds than a model that is identified has."""
     thresholds = model.amplitude_v * np.arange(DENSE) / DENSE
     assert isinstance(model.hysteresis, PrandtlIshlinskii)
-    dense = replace(
+    return replace(
         model,
         name="duo_bimorph_dense",
         hysteresis=with_thresholds(model.hysteresis, thresholds, model.amplitude_v),
@@ -150,9 +219,6 @@ def _dense(folder: Path, model: HammersteinModel) -> Path:
             "command": COMMAND,
         },
     )
-    path = folder / f"{dense.name}.json"
-    dense.save(path)
-    return path
 
 
 if __name__ == "__main__":

@@ -22,9 +22,9 @@ from pathlib import Path
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 from hammerstein.paper import Paper
+from hammerstein.paper.actuators import READINGS, actuator_of
 from hammerstein.paper.causes import adjusted, rows_needed
 from hammerstein.paper.claims import Claim
-from hammerstein.paper.readings import READINGS, actuator_of
 from hammerstein.scenario import Scenario, load_scenario
 
 os.environ["HAMMERSTEIN_CACHE"] = ""  # thousands of models, each wanted once
