@@ -248,7 +248,7 @@ def _others(
     for guess, fit in zip(guesses, fits, strict=True):
         late = replace(task, delay_samples=guess.delay_samples)
         blocks = static_blocks(late, task.thresholds_v, _as_found(fit.axes), task.settings.solver)
-        name = f"plays for the start, {guess.shapes[0].name}"
+        name = f"initial thresholds, {guess.shapes[0].name}"
         model = late.candidate(blocks.chosen.hysteresis, _as_found(fit.axes))
         found.append((name, FittedModel(model, blocks, fit.axes)))
     return tuple(found)

@@ -42,6 +42,9 @@ from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.records.faults import Fault
 from hammerstein.records.record import Record
 
+NIL_THRESHOLD = 1e-3
+"""Part of the half swing up to which a threshold is as good as 0, so that its place limits nothing."""
+
 
 class Errors(NamedTuple):
     """Errors of every kind of model on the records fitted and held back, and the response to each input."""
@@ -191,10 +194,12 @@ def _open_places(task: Task, built: CandidateSet, known: ParameterCovariance | N
     block = built.best.candidate.hysteresis
     if known is None or not isinstance(block, PrandtlIshlinskii):
         return []
-    places = [(task.records[0].inputs[k], r) for k, n in enumerate(block.bank.n) for r in block.bank.r[k, :n]]
+    least_v = NIL_THRESHOLD * half_swing(task.records)
+    places = [(k, r) for k, n in enumerate(block.bank.n) for r in block.bank.r[k, :n]]
     found: dict[str, list[str]] = {}
-    for i in known.open:
-        found.setdefault(places[i][0], []).append(f"{places[i][1]:.3g}")
+    for k, r in (places[i] for i in known.open):
+        if r > least_v[k]:
+            found.setdefault(task.records[0].inputs[k], []).append(f"{r:.3g}")
     return [
         f"{'threshold' if len(own) == 1 else 'thresholds'} {', '.join(own)} V of input {name}: the records "
         "hardly determine the distance to the next ones"

@@ -20,6 +20,7 @@ CAUSES: dict[FactorName, str] = {
     "identification_amplitude": "the amplitude of identification",
     "identification_frequency": "the frequency of identification",
 }
+CLOSE = 0.02  # part of a figure between its ends, up to which a third digit holds well enough to be shown
 WANDERS = 1.5  # a ratio whose ends differ by more has a divisor near the noise
 
 
@@ -69,7 +70,8 @@ def _shown(claim: Claim, low: float, high: float, runs: int) -> str:
         return "beyond the sweep"
     if runs == 1:
         return f"{low:.3g}"
-    ends = tuple(f"{float(f'{end:.2g}'):g}" for end in (low, high))
+    digits = 3 if high - low < CLOSE * abs(high) else 2
+    ends = tuple(f"{float(f'{end:.{digits}g}'):g}" for end in (low, high))
     if ends[0] == ends[1]:
         return ends[0]
     wanders = high > WANDERS * low > 0.0 and claim.over is not None and claim.agreement.at_most is None
@@ -144,17 +146,21 @@ class ClaimJudgement(Judgement):
         return "" if self.paper is None else f"{self.paper:g} {self.unit}".strip()
 
     def cells(self) -> dict[str, str]:
-        """Its line in a table, by column."""
+        """Its line in a table, by column: the scenario's own actuator; the details name the others."""
+        own, *others = self.simulated
+        more = [f"Other actuators: {', '.join(f'{one.actuator} {one.text()}' for one in others)}"] * bool(
+            others
+        )
         return {
             "claim": self.id,
             "statement": self.statement,
             "reason": self.reason,
             "paper": self.printed,
-            "simulated": ", ".join(f"{one.actuator} {one.text()}" for one in self.simulated),
+            "simulated": own.text(),
             "ratio": "" if self.ratio is None else f"{self.ratio:.2f}",
             "wanted": self.wanted,
             "judgement": self.word,
-            "details": self.details,
+            "details": _sentences([self.details, *more]),
         }
 
     def numbers(self) -> Iterator[tuple[Mapping[str, str], Mapping[str, float]]]:

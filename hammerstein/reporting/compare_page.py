@@ -87,7 +87,7 @@ HEADER = (
     "validation [%]",
     "as good",
     "exact inverse",
-    "left [%]",
+    "compensator error [%]",
 )
 """No times: two comparisons of the same records make the same page."""
 

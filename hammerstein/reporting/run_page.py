@@ -305,7 +305,7 @@ def source_of(source: ModelSource) -> tuple[str, str, str, str]:
 
 def _listed(values: dict[str, Any], plain: bool = False) -> str:
     """Keys and values in one line, as in ``frequency_hz = 50, amplitude_v = 10``."""
-    texts = [f"{key} = {_value(value)}" for key, value in values.items()]
+    texts = [f"{key} = {_value(value)}" for key, value in values.items() if value is not None]
     return ", ".join(texts) if plain else Markdown(", ").join(map(code, texts))
 
 

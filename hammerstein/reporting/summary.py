@@ -25,6 +25,7 @@ from hammerstein.signals import OneFrequency
 MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
 MOST_LABELS = 4  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
+NEVER_SETTLES = "does not settle in"  # of one that says that more cycles do not help
 SENSOR_CUT = "the sensor's range cut"  # those of another
 DIVERGES = "does not converge: slopes"  # the same
 FLAGGED = ": flagged by its fit report"  # the same
@@ -364,9 +365,13 @@ def _conduct(report: Report) -> Iterator[str]:
         yield f"The sensor's range cut the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
     if unsettled:
+        helps = any(NOT_SETTLED in text and NEVER_SETTLES not in text for text in report.statements)
+        after = (
+            "raise settle_cycles or settle_s in [measure]" if helps else "more cycles do not help, see below"
+        )
         yield (
             f"In {len(unsettled)} of {len(runs)} runs the loop had not settled: {_grouped(unsettled)}. Their "
-            "figures still change from cycle to cycle: raise settle_cycles or settle_s in [measure]."
+            f"figures still change from cycle to cycle: {after}."
         )
     elif isinstance(signal, OneFrequency) and signal.repeats and report.scenario.measure.measured_cycles > 1:
         yield "Every run had settled."

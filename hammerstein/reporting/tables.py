@@ -35,7 +35,7 @@ class NumberTable:
 
 
 def number_tables(report: Report) -> list[NumberTable]:
-    """Errors of the reading, errors of the true position, and loops, as far as the report has them.
+    """Errors of the true position and of the reading, and loops, as far as the report has them.
 
     A sweep that a page cannot hold is shown at a few frequencies: its ends, those of identification, and some
     between.
@@ -53,9 +53,13 @@ def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
         target = "reference" if report.scenario.reference is not None else "prediction"
         errors = _path_errors if is_path(report) else _transfer_errors
         seen = "position" if report.reads_truth else "sensor's reading"
-        yield errors(report, kept, f"Error of the {seen} against the {target}", "", remark)
+        both = [(f"Error of the {seen} against the {target}", "")]
         if not report.reads_truth:
-            yield errors(report, kept, f"Error of the true position against the {target}", "_true", remark)
+            both.insert(
+                int(report.reading_first), (f"Error of the true position against the {target}", "_true")
+            )
+        for title, which in both:
+            yield errors(report, kept, title, which, remark)
     loops = [row for row in _once(report, kept) if row.height_um is not None]
     if 0 < len(loops) <= MOST_LOOPS:
         yield _loops(report, loops, remark)

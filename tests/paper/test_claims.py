@@ -124,7 +124,8 @@ def test_what_ends_with_the_sweep_is_no_verdict():
         ((1.0, 1.9, 1.8), "met", "1 to 1.9"),
         ((3.0, 2.9, 3.1), "not met", "2.9 to 3.1"),
         ((1.9, 2.1, 1.9), "undecided", "1.9 to 2.1"),
-        ((1.91, 1.912, 1.909), "met", "1.9"),
+        ((1.91, 1.912, 1.909), "met", "1.91"),
+        ((1.93, 1.936, 1.931), "met", "1.93 to 1.94"),
     ],
 )
 def test_a_claim_is_judged_where_all_seeds_and_sample_times_agree(values, word, shown):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,15 +14,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from hammerstein.comparison.result import Comparison, Left
 from hammerstein.experiment.report import Report, Sensitivity
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure
+from hammerstein.reporting.figures.compared import compared_figure
 from hammerstein.reporting.figures.loop_data import legend_labels, legible_parts
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.sensitivity import SensitivityBars, sensitivity_figure
-from hammerstein.reporting.figures.style import letter, line_style, new_figure, styled
+from hammerstein.reporting.figures.style import letter, line_style, new_figure, plain_numbers, styled
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
 
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
@@ -450,3 +453,30 @@ def test_a_long_remark_leaves_the_letter_of_its_panel_alone(columns):
                 for words in (axes.get_title("left"), axes.get_title("right"))
             )
             assert name.get_window_extent().x1 < remark.get_window_extent().x0
+
+
+def test_a_model_without_a_compensator_error_says_why_in_its_row() -> None:
+    lefts = (Left(percent=0.3), Left(reason="this model replaces the actuator"), Left(reason="of " * 40))
+    entries = [
+        SimpleNamespace(
+            name=name,
+            parameters=3,
+            left=left,
+            held_at={},
+            fitted_at={10.0: SimpleNamespace(mean_percent=0.2)},
+        )
+        for name, left in zip("abc", lefts, strict=True)
+    ]
+    figure = compared_figure(cast(Comparison, SimpleNamespace(entries=entries, held=(), recommended="a")))
+    rows = {text.get_position()[1]: text.get_text() for text in figure.axes[1].texts}
+    assert rows == {1: "this model replaces the actuator", 2: "no compensator"}
+
+
+@pytest.mark.parametrize("ends", [(0.85, 1.4), (0.018, 0.026), (2.1, 3.9), (0.5, 40.0)])
+def test_a_logarithmic_axis_has_at_least_two_numbers(ends: tuple[float, float]) -> None:
+    with styled():
+        axes = new_figure(2.0).subplots()
+        axes.set(yscale="log", ylim=ends)
+        plain_numbers(axes.yaxis)
+        inside = [tick for tick in axes.yaxis.get_majorticklocs() if ends[0] <= tick <= ends[1]]
+    assert len(inside) >= 2

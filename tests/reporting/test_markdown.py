@@ -196,6 +196,11 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     assert "In 2 of 2 runs the loop had not settled: duo_bimorph (2 runs, 50 Hz). " in said  # which ones
     assert "raise settle_cycles or settle_s" in said  # and what follows
     assert "settled" not in answer(report_of(drive=SINE_V, measure={"measured_cycles": 1}))
+    creeping = replace(
+        cut, statements=("x: the loop has not settled; it does not settle in 20 times as many",)
+    )
+    assert "raise settle_cycles" not in answer(creeping)
+    assert "more cycles do not help" in answer(creeping)
 
 
 def test_a_law_that_does_not_converge_never_wins() -> None:
@@ -282,7 +287,8 @@ def test_table_of_a_path_holds_distance_radius_and_the_paper_s_epsilon() -> None
         for value in (row.euclidean_rms_um, row.euclidean_max_um, row.radial_max_um, row.epsilon_max_um)
     )
     assert true.header[-1] == "radius, worst"
-    own = next(iter(number_tables(report_of(reference=CIRCLE, compensators=[NONE]))))
+    own, seen = number_tables(report_of(reference=CIRCLE, compensators=[NONE]))
+    assert ("true position" in own.title, "reading" in seen.title) == (True, True), "the truth comes first"
     assert own.header[-1] == "radius, worst", "a run that answers no paper has none of its figures"
     assert true.lines[1][-1] == number(row.radial_max_true_um)
 
@@ -412,3 +418,21 @@ def test_words_of_the_user_do_not_break_the_page() -> None:
 def test_many_statements_are_cut_short() -> None:
     page = render(replace(sine(), statements=tuple(f"statement {i}" for i in range(40))))
     assert "* statement 14\n* 25 more statements are in `report.json`." in page
+
+
+def test_claims_come_after_the_figures_and_name_other_actuators_in_their_details() -> None:
+    claim = {
+        "id": "C1",
+        "statement": "The loop of x is 2 x 58 um high",
+        "paper": 116.0,
+        "quote": "2 x 58 um",
+        "unit": "um",
+        "quantity": {"metric": "height_um", "excited_axis": "x", "measured_axis": "x"},
+        "agreement": {"within": 0.02},
+    }
+    asked = {"kind": "paper", "claims": [claim], "also_on": [{"actuator": "duo_bimorph"}]}
+    page = run_page(report_of(drive=SINE_V, assessment=asked), ["loops.svg"]).markdown()
+    assert page.index("(loops.svg)") < page.index("## Claims of the paper") < page.index("## Numbers")
+    (line,) = (cells(line) for line in page.splitlines() if line.startswith("| C1"))
+    assert re.fullmatch(r"11\d", line[4])
+    assert "Other actuators: duo" in line[8]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from hammerstein.comparison.result import Compared, Comparison
+from hammerstein.comparison.result import Compared, Comparison, Left
 from hammerstein.identification.score import Score
 from hammerstein.reporting.figures.style import (
     COLOURS,
@@ -15,6 +15,7 @@ from hammerstein.reporting.figures.style import (
     legend_above,
     letter,
     new_figure,
+    plain,
     plain_numbers,
     styled,
 )
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 MARKERS = "osD^vPX"
 NAME_LETTERS = 24
 """Of a line of a model's name beside a panel."""
+REASON_LETTERS = 34
+"""Of a reason beside a row; the table has longer ones."""
 LEAST = 1e-9
 """Percent that stand for none on a logarithmic axis."""
 
@@ -48,7 +51,7 @@ def compared_figure(found: Comparison) -> Figure:
         if found.held:
             entries |= _draw_errors(panels[0], found, "fitted", "fitted_at", hollow=True)
         entries |= _draw_errors(panels[0], found, told, at, hollow=False)
-        _draw(panels[1], [entry.left.percent for entry in found.entries])
+        _draw_left(panels[1], [entry.left for entry in found.entries])
         quantities = ("rms error [% of range]", "error of its compensator [%]")
         for number, (axes, label) in enumerate(zip(panels, quantities, strict=True)):
             letter(axes, number)
@@ -80,8 +83,11 @@ def _scores(entry: Compared, at: str) -> Mapping[float, Score]:
     return entry.held_at if at == "held_at" else entry.fitted_at
 
 
-def _draw(axes: Axes, values: list[float | None]) -> None:
-    """One point a model; none where there is no number."""
-    known = [(max(value, LEAST), place) for place, value in enumerate(values) if value is not None]
-    if known:
-        axes.plot(*zip(*known, strict=True), "o", color=DARK, markersize=5.0, zorder=3)
+def _draw_left(axes: Axes, left: Sequence[Left]) -> None:
+    """One point a model; where there is no number, why not."""
+    for place, one in enumerate(left):
+        if one.percent is not None:
+            axes.plot(max(one.percent, LEAST), place, "o", color=DARK, markersize=5.0, zorder=3)
+            continue
+        why = one.reason if len(one.reason) <= REASON_LETTERS else "no compensator"
+        axes.text(0.03, place, plain(why), transform=axes.get_yaxis_transform(), va="center", color="#666666")

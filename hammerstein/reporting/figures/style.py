@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 Role = Literal["reading", "reference", "voltage", "error"]
 
+FEW_DECADES = 0.6  # of a logarithmic axis, on which 1, 2 and 4 alone would give a single tick
 WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
 ALONE_IN = 4.3  # width of a figure of one panel: as large as a panel may be to be read on a telephone
 PNG_DPI = 125  # 1000 pixels wide
@@ -249,12 +250,15 @@ def few_ticks(axes: Axes) -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 4 if there is room."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+    """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 4 if there is room; evenly if few fit."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     low, high = axis.get_view_interval()
     decades = math.log10(high / low) if low > 0.0 else math.inf
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0) if decades < 2.2 else (1.0,)))
+    if decades < FEW_DECADES:
+        axis.set_major_locator(MaxNLocator(nbins=5, steps=(1, 2, 5, 10)))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0) if decades < 2.2 else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 LARGEST_LINK_BYTES = 200_000
 """A larger file is linked where it lies beside the page, not carried along."""
+FOLDED = "details"
+"""Column whose cells open at a click."""
 LONGEST_NUMBER = 36
 """Characters of a cell; a longer one holds words."""
 
@@ -115,7 +117,8 @@ def _anchored(tokens: Sequence[Token]) -> list[Heading]:
 def _tabulated(tokens: Sequence[Token]) -> None:
     """Tables scroll by themselves; every cell names its column for a telephone, which shows no heads.
 
-    Numbers stand to the right on one line; long words are broken; a table without heads lists facts.
+    Numbers stand to the right on one line; long words are broken; a table without heads lists facts; details
+    fold out.
     """
     title = ""
     for start, token in enumerate(tokens):
@@ -126,18 +129,30 @@ def _tabulated(tokens: Sequence[Token]) -> None:
         stop = next(i for i in range(start, len(tokens)) if tokens[i].type == "table_close")
         inside, close = tokens[start:stop], tokens[stop]
         heads = [text.content for head, text in pairwise(inside) if head.type == "th_open"]
-        cells = [(cell, text.content) for cell, text in pairwise(inside) if cell.type == "td_open"]
-        for number, (cell, _) in enumerate(cells):
+        cells = [(cell, text) for cell, text in pairwise(inside) if cell.type == "td_open"]
+        for number, (cell, text) in enumerate(cells):
             cell.attrSet("data-name", heads[number % len(heads)])
+            if heads[number % len(heads)] == FOLDED and text.content:
+                text.children = [
+                    _html("<details><summary>show</summary>"),
+                    *(text.children or ()),
+                    _html("</details>"),
+                ]
         if not any(heads):
             kind = "words pairs"
-        elif max((len(text) for _, text in cells), default=0) > LONGEST_NUMBER:
+        elif max((len(text.content) for _, text in cells), default=0) > LONGEST_NUMBER:
             kind = "sortable words"
         else:
             kind = "sortable numbers"
         scroll = Markup('<div class="scroll" tabindex="0" role="region" aria-label="{}"><table class="{}">')
         _replaced(token, scroll.format(title, kind))
         _replaced(close, Markup("</table></div>\n"))
+
+
+def _html(text: str) -> Token:
+    from markdown_it.token import Token
+
+    return Token("html_inline", "", 0, content=text)
 
 
 def _framed(tokens: Sequence[Token], drawn: Mapping[str, bytes]) -> None:
