@@ -159,7 +159,7 @@ def _(law: ExactInverseLaw, start: Any) -> CPart:
             Size("PIECES", exact_kernel.most_pieces(design.w), "pieces after which a search is abandoned"),
         ),
         tables=(
-            *_walk_tables(design, m),
+            *_walk_tables(design),
             Table("threshold", bank.r, "Thresholds behind the smallest plays [V]: input, operator."),
             Table("slope", slope, "Summed weights of the first j operators [um/V]: input, j, row."),
             Table("moment", moment, "The same sums of weight times threshold [um]: input, j, row."),
@@ -208,7 +208,7 @@ def _moving_zones(law: StaticInverse[Any], drive_v: Array, zones: int) -> CPart:
             Size("DEPTHS", zones + 1, "largest number of pieces in the search of an input"),
         ),
         tables=(
-            *_walk_tables(design, m),
+            *_walk_tables(design),
             Table("threshold", np.zeros((m, 2)), "That of the one play of each input [V]."),
             Table("slope", np.zeros((m, 2, m)), "Its weight [um/V]."),
             Table("moment", np.zeros((m, 2, m)), "Its weight times threshold [um]."),
@@ -238,7 +238,7 @@ def _(law: GeneralisedInverseLaw, start: Any) -> CPart:
     return c_inverse_of(law.plays, start) + envelopes + own
 
 
-def _walk_tables(design: Tables, m: int) -> tuple[Table, ...]:
+def _walk_tables(design: Tables) -> tuple[Table, ...]:
     """What every walk knows of its inputs."""
     here = design.here
     return (
