@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from record_cases import N, U, X, message
 
-from hammerstein.records.excitation import dead_start
+from hammerstein.records.excitation import dead_start, moves_while_held
 from hammerstein.records.record import Record
 from hammerstein.records.swapped_columns import lag_rad, leads, refuse_swapped
 
@@ -26,6 +26,15 @@ class TestDriven:
     def test_a_record_that_begins_in_motion_has_no_dead_start(self):
         late = slice(30, None)
         assert dead_start(Record([U[late] + 2.0, 0 * U[late] + 0.5], [X[late] - 50.0], 5e-3)) == 0
+
+    @pytest.mark.parametrize("ringing", [(), (0,), (1,), (0, 1)])
+    def test_one_output_that_moves_while_the_voltage_is_held_is_enough(self, ringing):
+        """A record that begins while any of its axes still rings or creeps does not begin at rest."""
+        u, x = np.concatenate([np.zeros(80), U]), np.concatenate([np.zeros(80), X])
+        decay = 20.0 * np.exp(-np.arange(x.size) / 25.0)
+        record = Record([u], [x + decay * (o in ringing) for o in range(2)], 5e-3)
+        assert moves_while_held(record) == bool(ringing)
+        assert dead_start(record) == (0 if ringing else 80)
 
     @pytest.mark.parametrize("gain", [1.0, -1.0])
     def test_swapped_columns_are_told_by_the_direction_of_the_loop(self, gain):
