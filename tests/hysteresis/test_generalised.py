@@ -13,7 +13,7 @@ from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.generalised import tanh_by_doubling
+from hammerstein.hysteresis.generalised import EnvelopeFile, tanh_by_doubling
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
@@ -244,3 +244,8 @@ def test_five_experiments_leave_a_thousandth_of_a_percent_of_one_held_back(given
     held = [measured(5, 0.45, samples=5000)]
     _, fit = identify(fitted, asked, validation=held)
     assert fit.validation["static_hysteresis"].nrmse_percent[0] < 0.001
+
+
+def test_what_a_file_leaves_out_of_an_envelope_is_what_a_value_leaves_out():
+    told = {"voltages_v": (0.0, 10.0), "values_v": (0.0, 4.0), "saturating_v": 2.0, "steepness_per_v": 0.5}
+    assert EnvelopeFile.model_validate(told).value() == Envelope(**told)
