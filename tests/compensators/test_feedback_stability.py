@@ -4,7 +4,7 @@ HAMMERSTEIN_STAGES sets how many stages are drawn; the figures in the change log
 """
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -223,3 +223,24 @@ def test_every_zone_of_dead_zones_counts():
     ratios = [5.0 / 4.9, 13.0 / steep.gain(10.0)[0, 0]]
     limits = [gains.integral_per_s[0] * ratio for gains, ratio in zip(loops, ratios, strict=True)]
     assert limits[0] == pytest.approx(limits[1], rel=0.1)
+
+
+@pytest.mark.parametrize("sensor_hz", [500.0, 20000.0])
+@pytest.mark.parametrize("derivative", [False, True])
+def test_a_stage_that_never_rings_is_looked_at_down_to_its_slowest_motion(sensor_hz, derivative):
+    """Without a resonance no frequency is looked at closely; the stated sensitivity is the true one still."""
+    rng = np.random.default_rng(1)
+    stage = replace(
+        drawn(0),
+        resonances_hz=[60.0, 900.0],
+        damping=[0.7, 0.7],
+        creep=[0.1, 0.0],
+        weights=[np.array([5.0, 1.0, 0.5, 0.0])] * 2,
+        coupling=0.03,
+        sensor_hz=sensor_hz,
+        delay_samples=0,
+    )
+    law = FeedbackController(stage.model(), 10.0, stage.sample_time_s, sensor_hz, derivative=derivative)
+    worst, radius = peak_and_radius(stage, law.gains, rng)
+    assert radius < 1.0
+    assert 0.9 * law.gains.sensitivity < worst < 1.01 * law.gains.sensitivity <= 1.01 * MOST
