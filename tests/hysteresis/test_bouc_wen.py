@@ -15,6 +15,7 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import BoucWen, BoucWenPair
+from hammerstein.hysteresis.bouc_wen_kernels import moved, moved_far
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.hysteresis.kind import Hysteresis
 from hammerstein.model import HammersteinModel
@@ -309,3 +310,16 @@ def test_a_movement_has_a_bound_where_nothing_is_forgotten():
     """With beta = 0 and z at its limit the way back changes nothing, however far it is."""
     v = one(d=1.0, a=1.0, beta=0.0, gamma=5.0).respond([[0.0, 100.0, -1e9]])[0]
     assert v[0, 1:] == pytest.approx([100.0 - 0.2, -1e9 - 0.2], rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_far_movement_is_where_many_short_ones_go(seed):
+    """Both ways from either side of zero, to a turn of z and beyond it."""
+    rng = np.random.default_rng(seed)
+    load, unload = 10.0 ** rng.uniform(-1.5, 0.0, 2)
+    for z in np.array([-0.9, -0.3, 0.0, 0.3, 0.9]) / load:
+        for du in (-8.0, -1.0, 1.0, 8.0):
+            at = z
+            for _ in range(2000):
+                at = moved(at, du / 2000, load, unload)
+            assert moved_far(z, du, load, unload) == pytest.approx(at, abs=1e-3 / load)

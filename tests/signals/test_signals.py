@@ -123,3 +123,15 @@ def test_a_comma_at_the_end_of_each_row_is_no_column(tmp_path):
 def test_circle_needs_two_axes():
     with pytest.raises(InputError, match="two axes"):
         Circle(radius=1.0, frequency_hz=1.0).sample(t, 3)
+
+
+def test_one_offset_is_that_of_the_axis_that_moves_and_others_are_one_for_each():
+    time_s = np.linspace(0.0, 0.02, 200)
+    for axes in (1, 2, 3):
+        without = Sine(amplitude=2.0, frequency_hz=50.0, axis=1).sample(time_s, axes)
+        each = tuple(float(k) for k in range(axes))
+        for offset, expected in ((3.0, (3.0, 0.0, 0.0)[:axes]), (each, each)):
+            moved = Sine(amplitude=2.0, frequency_hz=50.0, axis=1, offset=offset).sample(time_s, axes)
+            np.testing.assert_allclose((moved - without).T, np.tile(expected, (200, 1)), atol=1e-12)
+        with pytest.raises(InputError, match=f"there are {axes} axes"):
+            Sine(amplitude=2.0, frequency_hz=50.0, axis=1, offset=(1.0,) * (axes + 1)).sample(time_s, axes)
