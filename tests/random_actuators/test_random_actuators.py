@@ -49,3 +49,10 @@ def test_what_is_stated_of_an_actuator_is_true(seed):
     assert outcome.honest, (outcome.stated_um, outcome.true_um)
     assert outcome.best_chosen, (outcome.kind, outcome.best)
     assert outcome.missed == ()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", [39, 119, 138, 149])
+def test_what_an_axis_took_up_of_another_law_is_in_its_errors(seed):
+    """Envelopes and relays: 3.2 to 3.5 standard errors, and a low-pass that the actuator does not have."""
+    assert tried(seed).missed == ()
