@@ -133,6 +133,8 @@ def _compile(compile_it: Callable[[Any], Any], folder: Path | None, name: str, g
 
 
 _compiling = threading.RLock()
+_keeping = threading.RLock()
+"""Held while numba reads the folder, which another thread would put back meanwhile."""
 
 
 @contextmanager
@@ -156,12 +158,13 @@ def _alone(folder: Path | None, name: str) -> Iterator[None]:
 @contextmanager
 def _kept_in(folder: Path | None) -> Iterator[None]:
     """Let numba keep what is decorated meanwhile in a folder; loops of others stay where they are."""
-    before = config.CACHE_DIR
-    config.CACHE_DIR = "" if folder is None else str(folder)
-    try:
-        yield
-    finally:
-        config.CACHE_DIR = before
+    with _keeping:
+        before = config.CACHE_DIR
+        config.CACHE_DIR = "" if folder is None else str(folder)
+        try:
+            yield
+        finally:
+            config.CACHE_DIR = before
 
 
 @cache

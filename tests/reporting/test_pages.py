@@ -19,7 +19,7 @@ from hammerstein.escaping import Markdown
 from hammerstein.model import HammersteinModel
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting.check_page import check_page
-from hammerstein.reporting.figures.moved import courses_of
+from hammerstein.reporting.figures.moved import courses_of, moved_figure
 from hammerstein.reporting.html.markup import html_of, inlined, link_to
 from hammerstein.scenario.scenario import Tolerance
 
@@ -226,11 +226,26 @@ def test_courses_tell_how_far_a_number_moved_in_units_of_what_is_allowed() -> No
     accepted = {key: {"rms_um": 2.0} for key in keys}
     now = accepted | {keys[2]: {"rms_um": 2.1}}
     y, x = courses_of("rms_um", accepted, now, {"rms_um": Tolerance(relative=0.01, absolute=0.0)})
-    assert (y.label, x.label) == ("measured_axis y", "measured_axis x")
+    assert (y.label, x.label) == ("position y", "position x")
     assert y.x.tolist() == [10.0, 50.0]
     assert y.now.tolist() == [2.0, 2.1]
     assert y.excess == pytest.approx(0.1 / 0.02)
     assert x.excess == 0.0
+
+
+def test_numbers_that_nothing_was_swept_for_are_dots_beside_each_other() -> None:
+    keys = [(("compensator", "exact"), ("measured_axis", axis)) for axis in "xy"]
+    accepted = {key: {"rms_true_um": 1e-3} for key in keys}
+    now = accepted | {keys[0]: {"rms_true_um": 1.0}}
+    courses = courses_of(
+        "rms_true_um", accepted, now, {"rms_true_um": Tolerance(relative=0.01, absolute=0.0)}
+    )
+    left, right = moved_figure(courses, "rms_true_um").axes
+    assert left.get_ylabel() == "rms true [µm]"
+    assert right.get_yscale() == "log"
+    places = [float(line.get_xdata()[0]) for line in left.lines if line.get_marker() == "o"]
+    assert places == [1.0, 2.0]
+    assert not left.get_xticks().size
 
 
 def test_a_check_without_a_common_row_has_a_page() -> None:

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import FunctionType
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 import hammerstein
-from hammerstein.compiled import compiled, helper
+from hammerstein.compiled import _kept_in, compiled, config, helper
 
 pytestmark = pytest.mark.full
 
@@ -233,3 +234,21 @@ def test_a_disk_that_is_full_keeps_no_loop_and_stops_no_run(loop, tmp_path):
     assert out == ["42.0", "0"]
     assert error.count("\n") == 1
     assert "are not cached" in error
+
+
+def test_threads_that_decorate_at_once_do_not_take_the_folder_from_each_other(tmp_path):
+    """One left an empty folder of numba's in the working folder."""
+    entered = threading.Event()
+
+    def other():
+        with _kept_in(tmp_path / "b"):
+            entered.set()
+
+    before, thread = config.CACHE_DIR, threading.Thread(target=other)
+    with _kept_in(tmp_path / "a"):
+        thread.start()
+        assert not entered.wait(0.2)
+        assert str(tmp_path / "a") == config.CACHE_DIR
+    thread.join(5.0)
+    assert entered.is_set()
+    assert before == config.CACHE_DIR

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.regression.baseline import Key, Numbers, words_of
+from hammerstein.regression.baseline import Key, Numbers
 from hammerstein.regression.compare import all_tolerances, deviation, limit, tolerance_of
 from hammerstein.reporting.figures.style import (
     PALE,
@@ -39,6 +39,19 @@ SWEPT = {
     "amplitude_v": "amplitude [V]",
     "trial": "trial",
 }
+NAMED = {
+    "compensator": "{}",
+    "excited_axis": "{} driven",
+    "measured_axis": "position {}",
+    "frequency_hz": "{} Hz",
+    "amplitude_um": "{} um",
+    "amplitude_v": "{} V",
+    "trial": "trial {}",
+}
+"""What tells courses apart, in words."""
+UNITS = {"um": "µm", "hz": "Hz", "v": "V", "deg": "deg", "percent": "%"}
+LARGE, LEAST_SHARE = 10.0, 0.1
+"""Change, in parts of what is allowed, from which the axis is logarithmic, and what stands for none there."""
 LEAST_ALLOWED = 1e-300
 """Keeps the quotient finite where a baseline allows nothing."""
 
@@ -82,8 +95,8 @@ def courses_of(
         values = [(accepted[keys[i]][metric], now[keys[i]][metric]) for i in order]
         found.append(
             SweptNumber(
-                words_of(tuple(item for item in rest if item not in same)),
-                SWEPT[swept] if swept else "row",
+                _words([item for item in rest if item not in same]),
+                SWEPT[swept] if swept else "",
                 np.array(x)[order],
                 np.array([before for before, _ in values]),
                 np.array([after for _, after in values]),
@@ -107,31 +120,70 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
         figure = new_figure(1.1 + 0.35 * WIDTH_IN + 0.2 * len(shown))
         left, right = figure.subplots(1, 2)
         entries: dict[str, Artist] = {}
+        far = max(course.excess for course in shown) > LARGE
         for number, course in enumerate(shown):
-            entries[plain(course.label)] = _draw(left, right, course, number)
+            entries[plain(course.label)] = _draw(left, right, course, number, LEAST_SHARE if far else 0.0)
         (entries["baseline with tolerance"],) = left.plot([], [], color=PALE, linewidth=4.0, alpha=0.6)
-        right.axhspan(-1.0, 1.0, color=PALE, alpha=0.3, linewidth=0.0)
+        right.axhspan(0.0, 1.0, color=PALE, alpha=0.3, linewidth=0.0)
         _scale(left, shown)
-        if max(course.excess for course in shown) > 10.0:
-            right.set_yscale("symlog", linthresh=1.0)
-        for axes, label in ((left, plain(metric)), (right, "change / allowed change")):
+        if far:
+            right.set_yscale("log")
+            right.set_ylim(bottom=LEAST_SHARE)
+            plain_numbers(right.yaxis)
+        for axes, label in ((left, _quantity(metric)), (right, "|change| / allowed change")):
             axes.set(xlabel=shown[0].x_label, ylabel=label)
             if axes.get_yscale() == "linear":
                 few_ticks(axes)
+            if not shown[0].x_label:
+                axes.set(xticks=[], xlim=(0.5, len(shown) + 0.5))
         letter(left, 0)
         letter(right, 1, "grey band: tolerance")
         legend_above(figure, entries)
     return figure
 
 
-def _draw(left: Axes, right: Axes, course: SweptNumber, number: int) -> Artist:
-    left.plot(course.x, course.accepted, color=PALE, linewidth=4.0, alpha=0.6)
-    low, high = course.accepted - course.allowed, course.accepted + course.allowed
-    left.fill_between(course.x, low, high, color=PALE, alpha=0.4, linewidth=0.0)
+def _draw(left: Axes, right: Axes, course: SweptNumber, number: int, least: float) -> Artist:
+    """Draw a course before and now; numbers that nothing was swept for stand beside each other.
+
+    least : share of what is allowed that stands for less
+    """
     style = line_style(number) | {"markersize": 3.0, "linewidth": 1.0}
-    right.plot(course.x, course.moved / np.maximum(course.allowed, LEAST_ALLOWED), **style)
-    (line,) = left.plot(course.x, course.now, **style)
+    before: dict[str, Any] = {"color": PALE, "linewidth": 4.0, "alpha": 0.6}
+    x = course.x
+    if not course.x_label:
+        x, style["marker"] = x + number, style.get("marker") or "o"
+        before |= {"marker": "s", "markersize": 10.0}
+    left.plot(x, course.accepted, **before)
+    low, high = course.accepted - course.allowed, course.accepted + course.allowed
+    left.fill_between(x, low, high, color=PALE, alpha=0.4, linewidth=0.0)
+    share = np.abs(course.moved) / np.maximum(course.allowed, LEAST_ALLOWED)
+    right.plot(x, np.maximum(share, least), **style)
+    (line,) = left.plot(x, course.now, **style)
     return line
+
+
+def _words(key: Sequence[tuple[str, str | float]]) -> str:
+    """What tells a course from others.
+
+    >>> _words([("compensator", "inverse"), ("measured_axis", "x"), ("claim", "C1")])
+    'inverse, position x, claim C1'
+    """
+    named = [NAMED.get(name, f"{name.replace('_', ' ')} {{}}").format(_text(value)) for name, value in key]
+    return ", ".join(named) or "all rows"
+
+
+def _text(value: str | float) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _quantity(metric: str) -> str:
+    """Label of an axis that shows a number of a row.
+
+    >>> _quantity("rms_true_um"), _quantity("gain")
+    ('rms true [µm]', 'gain')
+    """
+    name, _, unit = metric.rpartition("_")
+    return plain(f"{name.replace('_', ' ')} [{UNITS[unit]}]" if unit in UNITS else metric.replace("_", " "))
 
 
 def _scale(axes: Axes, courses: Sequence[SweptNumber]) -> None:
