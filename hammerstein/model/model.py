@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from hammerstein.compensators.drive_file import Compensation, LawLike
     from hammerstein.model.simulation import Plant, Response, Wire
 
+MOST_NAMED = 3
+"""Records that the origin of a model names."""
 NUMBERS = re.compile(r"\[\s+([-+0-9.eE,\s]+?)\s+\]")
 
 
@@ -124,9 +126,14 @@ class HammersteinModel(ByValue, NotebookRepr):
 
         >>> HammersteinModel.load("duo_bimorph_static").origin
         'duo_bimorph_static'
+        >>> replace(HammersteinModel.load("duo_bimorph_static"), provenance={"records": list("abcde")}).origin
+        'duo_bimorph_static, from a, b, c and 2 more'
         """
         files = self.provenance.get("records") if isinstance(self.provenance, dict) else None
-        return f"{self.name}, from {', '.join(map(str, files))}" if isinstance(files, list) else self.name
+        if not isinstance(files, list):
+            return self.name
+        more = f" and {len(files) - MOST_NAMED} more" if len(files) > MOST_NAMED else ""
+        return f"{self.name}, from {', '.join(map(str, files[:MOST_NAMED]))}{more}"
 
     def static(self) -> HammersteinModel:
         """Return the same static block without its dynamics."""

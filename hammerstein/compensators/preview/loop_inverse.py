@@ -28,6 +28,9 @@ MOST_STEPS, REMEMBERED = 60, 3
 """Accelerated steps of each gain on a path that is known as a whole, and how many are remembered. On waves up
 to twice the resonance of two made-up stacks, 40 steps left 0.0001 to 0.003 of the path with every gain but
 the smallest; where 12 or 25 were remembered, up to 0.8."""
+LONG = 10
+"""Times the shortest reach of an inverse. A gain whose inverse reaches further ahead is dropped. It has
+nearly no inverse, costs most of the time, and was the best for no path that was tried."""
 ENOUGH = 1e-4
 """Part of the path that may be left: identified models miss it by twenty times as much and more."""
 SHARES = (0.25, 0.5, 0.1, 1.0)
@@ -311,6 +314,8 @@ class LoopInverseLaw(Law[LoopPathState]):
                 refused = error
         if not loops and refused:
             raise refused
+        shortest = min(one.inverse.reach_samples for one, _ in loops)
+        loops = [pair for pair in loops if pair[0].inverse.reach_samples <= LONG * shortest]
         best: tuple[LoopPass, int, float] = (loops[0][0], 0, np.inf)
         for one, path in loops:
             if best[2] >= ENOUGH:
