@@ -23,10 +23,14 @@ from hammerstein.compensators.reach import Reach, Shortfall, reach
 from hammerstein.compensators.remedies import Missed
 from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
+from hammerstein.records.noise import noise_rms
 from hammerstein.runtime.storage.manifest import Owner
 
 DRIVE = Owner("drive", single=True)
 
+ROUGH, AMPLIFIED = 1e-3, 10.0
+"""Noise of a drive, relative to its span, and its ratio to the relative noise of the path, from which it is
+named: a path rounded to 1 nm became steps of 15 V for a stage of 200 Hz on a grid of 20 kHz."""
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
@@ -148,11 +152,25 @@ class Compensation:
             )
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
+        said += self._amplified()
         if self.resampled:
             said.append(
                 "The path was interpolated linearly onto the drive's sample time; corners may need filter_hz."
             )
         return said
+
+    def _amplified(self) -> list[str]:
+        """Say where the law turns the rounding or noise of the path into a noise of the drive."""
+        path, drive = self.reference_um[:, self.attempt.lead :], self.drive_v[:, self.attempt.lead :]
+        rough_um, span_um = max(map(noise_rms, path)), float(np.ptp(path, axis=1).max())
+        for name, row in zip(self.model.inputs, drive, strict=True):
+            rough_v, span_v = noise_rms(row), float(np.ptp(row))
+            if rough_v > ROUGH * span_v and rough_v * span_um > AMPLIFIED * rough_um * span_v:
+                return [
+                    f"The law amplifies rounding or noise of the path, {rough_um:.1g} um rms, to "
+                    f"{rough_v:.1g} V rms on {name}: give the path more digits, or use --filter-hz."
+                ]
+        return []
 
     def _start(self) -> str:
         """Say how the actuator must come to the first row."""

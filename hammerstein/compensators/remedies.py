@@ -51,7 +51,10 @@ class Missed:
         led, complete = self._attempt(self.compensator, self.path_um)
         if self.prefix and complete:
             return [(led, self.prefix), (clipped, "--clip")]
-        tried = [*self._moved(), *self._softened(), *self._filtered(), (led, self._with_prefix("--clip"))]
+        tried = [*self._moved(), *self._softened(), *self._filtered(self.path_um, self.prefix)]
+        if not tried:  # corners of a path that does not even begin within reach
+            tried += self._moved_and_filtered()
+        tried.append((led, f"{self.prefix} --clip".strip()))
         return [*sorted(helping for helping in tried if helping[0] < clipped), (clipped, "--clip")]
 
     @cached_property
@@ -113,22 +116,30 @@ class Missed:
         within = found.predicted.complete or bool((found.path_error_um <= self.own_um).all())
         return float(found.path_error_um.max()), within
 
-    def _with_prefix(self, option: str) -> str:
-        return f"{self.prefix} {option}".strip()
-
-    def _moved(self) -> Iterator[tuple[float, str]]:
-        """The path moved to the middle of what can be reached."""
-        if self.moved:
-            return
+    @cached_property
+    def _centred(self) -> tuple[Array, str] | None:
+        """The path moved to the middle of the reach, and the options for it; None if it was moved already."""
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)
         )
-        if not np.isfinite(middle).all():
-            return
+        if self.moved or not np.isfinite(middle).all():
+            return None
         offset = np.array([float(f"{value:.3g}") for value in middle])
-        left, within = self._attempt(self.compensator, self.path_um + offset[:, None])
-        if within:
-            yield left, f"--lead-in --offset={','.join(f'{value:g}' for value in offset)}"
+        words = f"--lead-in --offset={','.join(f'{value:g}' for value in offset)}"
+        return self.path_um + offset[:, None], words
+
+    def _moved(self) -> Iterator[tuple[float, str]]:
+        """The path moved to the middle of what can be reached."""
+        if self._centred is not None:
+            path_um, words = self._centred
+            left, within = self._attempt(self.compensator, path_um)
+            if within:
+                yield left, words
+
+    def _moved_and_filtered(self) -> Iterator[tuple[float, str]]:
+        """Both together."""
+        if self._centred is not None:
+            yield from self._filtered(*self._centred)
 
     def _softened(self) -> Iterator[tuple[float, str]]:
         """The least softening with which the path is within reach."""
@@ -140,19 +151,22 @@ class Missed:
             softer = self.compensator.model_copy(update={"softening_v": volts})
             left, within = self._attempt(softer, self.path_um)
             if within:
-                yield left, self._with_prefix(f"--softening-v {volts:g}")
+                yield left, f"{self.prefix} --softening-v {volts:g}".strip()
                 return
 
-    def _filtered(self) -> Iterator[tuple[float, str]]:
-        """The highest bandwidth of the reference filter with which the path is within reach."""
+    def _filtered(self, path_um: Array, prefix: str) -> Iterator[tuple[float, str]]:
+        """The highest bandwidth of the reference filter with which a path is within reach.
+
+        prefix : options that the path needs beside it
+        """
         if not hasattr(self.compensator, "filter_hz") or self.compensator.filter_hz is not None:
             return
         nyquist = 0.5 / self.model.instruments.drive.sample_time_s
-        lowest = max(4.0 * nyquist / self.path_um.shape[1], nyquist / FILTER_DECADES)
+        lowest = max(4.0 * nyquist / path_um.shape[1], nyquist / FILTER_DECADES)
         for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
             rounded = float(f"{frequency:.2g}")
             slower = self.compensator.model_copy(update={"filter_hz": rounded})
-            left, within = self._attempt(slower, self.path_um)
+            left, within = self._attempt(slower, path_um)
             if within:
-                yield left, self._with_prefix(f"--filter-hz {rounded:g}")
+                yield left, f"{prefix} --filter-hz {rounded:g}".strip()
                 return

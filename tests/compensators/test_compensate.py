@@ -287,6 +287,33 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     assert np.abs(np.diff(first)).max() < 1.0
 
 
+def test_an_offset_and_a_filter_are_named_together_where_a_path_needs_both(tmp_path, capsys, monkeypatch):
+    """A triangle about 0 on a stage that only extends: half of it is out of reach, and so are its corners."""
+    monkeypatch.chdir(tmp_path)
+    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
+    dataclasses.replace(_stage(tmp_path), dynamics=axes).save(tmp_path / "stage.json")
+    lines = np.abs((np.arange(4000) * T * 10.0 + 0.75) % 1.0 - 0.5) - 0.25
+    path = _path(tmp_path, 160.0 * lines)
+    assert _call("compensate", "stage.json", path) == 3
+    helps = capsys.readouterr().err.strip().splitlines()[-2]
+    options, error_um = re.search(
+        r"error: (--lead-in --offset=\S+ --filter-hz \d+) \((\S+) um\)", helps
+    ).groups()
+    assert _call("compensate", "stage.json", path, *options.split(), "--json") == 0
+    expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
+    assert expected["path_max_um"] == pytest.approx(float(error_um), rel=0.06)
+
+
+@pytest.mark.parametrize(("digits", "said"), [(9, False), (3, True)])
+def test_rounding_of_a_path_that_the_inverse_amplifies_is_named(digits, said):
+    """1 nm at 20 kHz: beyond the resonance of 400 Hz the inverse is 500 times its slow gain."""
+    model = HammersteinModel.load("duo_bimorph")
+    t = 5e-5 * np.arange(4000)
+    x = 20.0 * np.sin(np.pi * t / t[-1]) ** 4 * np.sin(2.0 * np.pi * 40.0 * t)
+    found = model.compensate(np.round(np.stack([x, 0.5 * x]), digits))
+    assert ("amplifies rounding" in " ".join(found.essentials())) == said
+
+
 def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsys, monkeypatch):
     """Corners 5 um away from where a lightly damped stage stands need a lead-in and a filter."""
     from hammerstein.dynamics import AxesDynamics, Axis
