@@ -48,7 +48,7 @@ def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
         assert len(drawn) < LARGEST_PNG_BYTES
         with Image.open(io.BytesIO(drawn)) as picture:
             assert picture.mode == "P"
-            assert picture.info["dpi"] == pytest.approx((125, 125), abs=0.1)
+            assert picture.info["dpi"] == pytest.approx((110, 110), abs=0.1)
             shown = {colour for _, colour in picture.convert("RGB").getcolors()}
         inks = {to_rgb(line.get_color()) for axes in figure.axes for line in axes.lines}
         hued = {tuple(round(255 * part) for part in ink) for ink in inks if np.ptp(ink) > 0.1}

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 MOST_CURVES = 4
 """Of a panel; more are drawn in several rows of panels, each with the curves of the others in grey behind."""
+ALONE, IN_ROWS = 0.7, 0.4
+"""Height of a panel in parts of its width: lower in several rows, so that a page still shows all of them."""
 BEHIND = {"color": "#cccccc", "linewidth": 0.8, "zorder": 0.5}
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
@@ -94,7 +96,8 @@ def sweep_figure(
         count = max(math.ceil(len(curves) / MOST_CURVES), 1)
         groups = [part.tolist() for part in np.array_split(np.arange(len(curves)), count)]
         lines, across = (rows, columns) if columns > 1 else side_by_side(rows)
-        height_in = len(groups) * lines * WIDTH_IN / max(columns, 2) * 0.7
+        shape = ALONE if len(groups) == 1 else IN_ROWS
+        height_in = len(groups) * lines * WIDTH_IN / max(columns, 2) * shape
         figure = new_figure(0.9 + height_in, across)
         grid = figure.subplots(len(groups) * lines, across, squeeze=False, sharex=True, sharey=True)
         cells = grid.reshape(len(groups), -1)
