@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 MOST_CURVES = 4
 """Of a panel; more are drawn in several rows of panels, each with the curves of the others in grey behind."""
-ALONE, IN_ROWS = 0.7, 0.4
+ALONE, IN_ROWS = 0.7, 0.5
 """Height of a panel in parts of its width: lower in several rows, so that a page still shows all of them."""
 BEHIND = {"color": "#cccccc", "linewidth": 0.8, "zorder": 0.5}
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
