@@ -147,7 +147,7 @@ def test_pull_is_the_slope_of_the_squared_error(dynamics):
 # Recovery without noise -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("count", "least"), [(5, 8), (8, 8), (12, 7)])
+@pytest.mark.parametrize(("count", "least"), [(5, 8), (8, 8), (12, 9)])
 def test_most_models_return_from_the_time_partition(count, least):
     returned = 0
     for seed in range(10):
@@ -156,10 +156,10 @@ def test_most_models_return_from_the_time_partition(count, least):
         begin = input_grids([record], count)
         found = fit_thresholds(task_of(record), begin)
         assert (rms_um(record, found) <= rms_um(record, begin)).all()
-        if len(found[0]) == count and np.abs(found[0] - grids[0]).max() < 1e-6:
+        if len(found[0]) == count and np.abs(found[0] - grids[0]).max() < 1e-4:
             fit = fit_static([record], [list(found)] * 2, solver="least_squares")
             for row, wanted in zip(fit.hysteresis.pairs, weights, strict=True):
-                np.testing.assert_allclose(row[0].weights_um_per_v, wanted[0], atol=1e-5)
+                np.testing.assert_allclose(row[0].weights_um_per_v, wanted[0], atol=1e-3)
             returned += 1
     assert returned >= least
 

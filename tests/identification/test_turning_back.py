@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hammerstein.identification.residual_analysis import turning_back_flags
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.verdict import turning_back_flags
 from hammerstein.records.record import Record
 
 U = 10.0 * np.sin(2.0 * np.pi * np.arange(1200) / 400)

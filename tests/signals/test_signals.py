@@ -83,7 +83,7 @@ def test_file_is_interpolated_and_held(tmp_path):
         ("x,y\n1,2\n3,4\n", "time_s"),
         ("time_s\n1\n2\n", "one column for each axis"),
         ("time_s,x\n0,1\n1,two\n2,3\n", "column x, row 3 +'two' is text"),
-        ("time_s,x\n0,1\n1,nan\n2,3\n", "column x, row 3 +has no finite"),
+        ("time_s,x\n0,1\n1,nan\n2,3\n", "column x, row 3 +has no number"),
         ("# note\ntime_s,x\n0,1\n1,\n2,3\n", "column x, row 4"),
         ("time_s,x\n0,1\n2,1\n1,3\n", "row 4: time_s does not increase"),
         ("time_s,x\n0,1\n", "single row"),

@@ -9,7 +9,6 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import NoConvergence, anderson
 
 from hammerstein.arrays import Array, times
 from hammerstein.blocks import Law, Memory, checked_reference
@@ -139,6 +138,8 @@ class LoopPass:
 
         Source: D. G. Anderson, Journal of the ACM 12 (1965) 547-560.
         """
+        from scipy.optimize import NoConvergence, anderson  # it takes long to load
+
         reach = self.inverse.reach_samples
         path, begun = known[:, :-reach], np.zeros((self.block.E.shape[1], known.shape[1]))
         best, v_best = np.inf, np.zeros((self.block.n_inputs, path.shape[1]))
