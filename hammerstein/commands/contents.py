@@ -164,7 +164,6 @@ def _scenario(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def _model(path: Path) -> Iterator[tuple[str, str]]:
-    from hammerstein.dynamics import WithLoop
     from hammerstein.model import HammersteinModel
 
     model = HammersteinModel.load(path)
@@ -172,8 +171,7 @@ def _model(path: Path) -> Iterator[tuple[str, str]]:
     yield "origin", model.origin
     yield "inputs", ", ".join(model.inputs)
     yield "outputs", ", ".join(model.outputs)
-    in_loop = isinstance(model.dynamics, WithLoop)
-    yield "hysteresis", "in the loop of the dynamics" if in_loop else model.hysteresis.describe()
+    yield "hysteresis", model.hysteresis.describe()
     yield "dynamics", model.dynamics.describe()
     gains = model.gain(model.amplitude_v)
     for o, output in enumerate(model.outputs):

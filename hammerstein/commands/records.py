@@ -184,7 +184,8 @@ def identify(
     model, fit = _identified(records, settings, validation, out)
     for place in write_fit(model, fit, out, folder, figures, overwrite, asked):
         complain(kept_aside(place))
-    search_file(out).unlink(missing_ok=True)
+    if hysteresis_in_loop:
+        search_file(out).unlink(missing_ok=True)
     if as_json:
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -152,13 +153,14 @@ class Compensation:
             )
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
-        said += self._amplified()
+        said += self._amplified
         if self.resampled:
             said.append(
                 "The path was interpolated linearly onto the drive's sample time; corners may need filter_hz."
             )
         return said
 
+    @cached_property
     def _amplified(self) -> list[str]:
         """Say where the law turns the rounding or noise of the path into a noise of the drive."""
         path, drive = self.reference_um[:, self.attempt.lead :], self.drive_v[:, self.attempt.lead :]

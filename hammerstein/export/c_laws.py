@@ -33,14 +33,6 @@ from hammerstein.export.c_blocks import (
 from hammerstein.export.forward import ForwardModel
 from hammerstein.hysteresis.asymmetric import ZoneLines
 
-NO_CODE: dict[type, str] = {
-    LoopInverseLaw: (
-        "the inverse of hysteresis in a loop iterates over a whole path and has no C code. `hammerstein "
-        "compensate MODEL PATH --table csv` writes the voltages; --law model exports the actuator itself"
-    ),
-}
-"""Laws without C code, and what serves instead."""
-
 
 @singledispatch
 def c_law_of(law: object) -> CPart:
@@ -50,8 +42,16 @@ def c_law_of(law: object) -> CPart:
     ------
     InputError : there is no template for this law
     """
-    told = NO_CODE.get(type(law), f"{type(law).__name__} has no C code")
-    raise InputError("--law", told)
+    raise InputError("--law", f"{type(law).__name__} has no C code")
+
+
+@c_law_of.register
+def _(law: LoopInverseLaw) -> CPart:
+    raise InputError(
+        "--law",
+        "the inverse of hysteresis in a loop iterates over a whole path and has no C code. `hammerstein "
+        "compensate MODEL PATH --table csv` writes the voltages; --law model exports the actuator itself",
+    )
 
 
 def _range(limits: DriveRange) -> CPart:

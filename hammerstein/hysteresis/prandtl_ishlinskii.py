@@ -75,6 +75,8 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         pairs = [pair for row in self.pairs for pair in row if len(pair.thresholds_v)]
         counts = sorted({len(pair.thresholds_v) for pair in pairs})
         thresholds = np.concatenate([pair.thresholds_v for pair in pairs])
+        if not thresholds.any():
+            return f"{self.n_inputs} inputs, {self.n_outputs} outputs, gains without hysteresis"
         operators = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
         plural = "" if counts[-1] == 1 else "s"
         return (

@@ -120,18 +120,14 @@ class Score:
 
 def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Score:
     """Errors of a model on records, all together."""
-    both = list(zip(records, starts, strict=True))
-    errors = [candidate.residual(record, start) for record, start in both]
-    return score_of(errors, [record.y_um[:, start.first :] for record, start in both])
-
-
-def score_of(errors: Sequence[Array], readings: Sequence[Array]) -> Score:
-    """Score of the errors (output, sample) of records, and of their readings, all together [um]."""
-    samples = sum(error.shape[1] for error in errors)
-    squares = sum(np.sum(error**2, axis=1) for error in errors)
-    power = sum(np.var(y, axis=1) * y.shape[1] for y in readings)
+    squares, power, samples = np.zeros(len(records[0].y_um)), np.zeros(len(records[0].y_um)), 0
+    for record, start in zip(records, starts, strict=True):
+        residual = candidate.residual(record, start)
+        squares += np.sum(residual**2, axis=1)
+        samples += residual.shape[1]
+        power += np.var(record.y_um[:, start.first :], axis=1) * residual.shape[1]
     rms = np.sqrt(squares / samples)
-    percent = 100.0 * rms / _largest_range(readings)
+    percent = 100.0 * rms / ranges(records, starts)
     relative = 100.0 * np.sqrt(squares / np.maximum(power, np.finfo(float).tiny))
     return Score(tuple(percent.tolist()), tuple(rms.tolist()), tuple(relative.tolist()))
 
@@ -188,9 +184,5 @@ def rest_errors(
 
 def ranges(records: Sequence[Record], starts: Sequence[InitialState]) -> Array:
     """Largest range of each output (output,) in one record, over the samples that count [um]."""
-    return _largest_range([r.y_um[:, s.first :] for r, s in zip(records, starts, strict=True)])
-
-
-def _largest_range(readings: Sequence[Array]) -> Array:
-    spans = [np.ptp(y, axis=1) for y in readings]
+    spans = [np.ptp(r.y_um[:, s.first :], axis=1) for r, s in zip(records, starts, strict=True)]
     return np.asarray(np.maximum(np.max(spans, axis=0), np.finfo(float).tiny))

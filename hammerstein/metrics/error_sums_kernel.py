@@ -45,8 +45,9 @@ def _sum(values, samples):  # type: ignore[no-untyped-def]
 
 @helper()
 def _top(values, samples):  # type: ignore[no-untyped-def]
-    """Bits of the largest of the first samples, which are not negative: such numbers have the order of their
-    bits. Integers are compared eight times as fast, and NaN is above all of them.
+    """Bits of the largest of the first samples, which are not negative.
+
+    Such numbers have the order of their bits. Integers compare eight times as fast, and NaN is above all.
     """
     bits, found = values.view(np.int64), np.int64(0)
     for t in range(samples):

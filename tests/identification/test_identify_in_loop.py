@@ -167,3 +167,14 @@ def test_the_command_writes_a_model_and_no_search(arrays):
     assert {"--hysteresis-in-loop", "--validate", "--axes"} <= set(again)
     assert HammersteinModel.load(arrays.out).dynamics.kind == "feedback_hysteresis"
     assert not list(arrays.out.parent.glob("*.search.json"))
+
+
+def test_another_identification_leaves_an_interrupted_search(arrays):
+    """The same model file, without --hysteresis-in-loop: what the search has found so far stays."""
+    search = arrays.out.with_name("m.search.json")
+    search.write_text("{}")
+    words = ["identify", str(arrays.u), str(arrays.y), "--axes", "experiment,channel,period,sample"]
+    words += ["--rate", "10000", "--operators", "2", "--dynamics", "none", "--no-figures"]
+    done = CliRunner().invoke(app, [*words, "--out", str(arrays.out)])
+    assert done.exit_code == 0, done.output
+    assert search.read_text() == "{}"

@@ -196,14 +196,18 @@ def test_a_record_without_a_loop_says_so(records, tmp_path, capsys):
     assert "no loop found" in capsys.readouterr().err
 
 
+def _loops_of(record, path, travel):
+    """Command on a copy of a record whose largest displacement is a number without a unit."""
+    frame = pd.read_csv(record)
+    outputs = COLUMNS[COLUMNS.index("--outputs") + 1].split(",")
+    frame[outputs] *= travel / np.ptp(frame[outputs].to_numpy())
+    frame.to_csv(path, index=False)
+    return "loops", path, *COLUMNS, "--rate", 20000, "--no-figures"
+
+
 def test_displacements_in_nm_without_a_unit_are_asked_for_it(records, tmp_path, capsys):
     """Ten um/V written in nm would be 10,000 um/V; a name with its unit is not asked, --units answers."""
-    frame = pd.read_csv(records[0])
-    outputs = COLUMNS[COLUMNS.index("--outputs") + 1].split(",")
-    frame[outputs] *= 90.0 / np.ptp(frame[outputs].to_numpy())  # at most 90 um, and then in nm
-    frame[outputs] *= 1000.0
-    frame.to_csv(tmp_path / "nm.csv", index=False)
-    call = ("loops", tmp_path / "nm.csv", *COLUMNS, "--rate", 20000, "--no-figures")
+    call = _loops_of(records[0], tmp_path / "nm.csv", 90.0 * 1000.0)
     assert _call(*call) == 2
     error = capsys.readouterr().err
     assert "in um it would travel 90 mm" in error
@@ -219,11 +223,7 @@ def test_displacements_in_nm_without_a_unit_are_asked_for_it(records, tmp_path, 
 
 def test_displacements_in_mm_without_a_unit_are_asked_for_it(records, tmp_path, capsys):
     """Less than 0.001 um/V is no actuator in um either; the smaller cross-couplings are not asked about."""
-    frame = pd.read_csv(records[0])
-    outputs = COLUMNS[COLUMNS.index("--outputs") + 1].split(",")
-    frame[outputs] *= 1e-3 * 5.0 / np.ptp(frame[outputs].to_numpy())
-    frame.to_csv(tmp_path / "mm.csv", index=False)
-    call = ("loops", tmp_path / "mm.csv", *COLUMNS, "--rate", 20000, "--no-figures")
+    call = _loops_of(records[0], tmp_path / "mm.csv", 5.0 / 1000.0)
     assert _call(*call) == 2
     error = capsys.readouterr().err
     assert "in um it would travel 0.005 um" in error

@@ -383,20 +383,22 @@ def test_a_model_file_is_named_without_its_folder() -> None:
     assert "| file duo_bimorph_static |" in render(report_of(reference=CIRCLE, compensators=[source]))
 
 
+CLAIM = {
+    "id": "C1",
+    "statement": "The loop of x is 2 x 58 um high",
+    "paper": 116.0,
+    "quote": "2 x 58 um",
+    "unit": "um",
+    "quantity": {"metric": "height_um", "excited_axis": "x", "measured_axis": "x"},
+    "agreement": {"within": 0.02},
+}
+
+
 def test_claims_of_the_paper_are_a_table() -> None:
-    claim = {
-        "id": "C1",
-        "statement": "The loop of x is 2 x 58 um high",
-        "paper": 116.0,
-        "quote": "2 x 58 um",
-        "unit": "um",
-        "quantity": {"metric": "height_um", "excited_axis": "x", "measured_axis": "x"},
-        "agreement": {"within": 0.02},
-    }
     page = render(
         report_of(
             drive=SINE_V,
-            assessment={"kind": "paper", "claims": [claim, claim | {"id": "C2", "paper": 200.0}]},
+            assessment={"kind": "paper", "claims": [CLAIM, CLAIM | {"id": "C2", "paper": 200.0}]},
         )
     )
     first, second = (cells(line) for line in page.splitlines() if re.match(r"\| C\d", line))
@@ -421,16 +423,7 @@ def test_many_statements_are_cut_short() -> None:
 
 
 def test_claims_come_after_the_figures_and_name_other_actuators_in_their_details() -> None:
-    claim = {
-        "id": "C1",
-        "statement": "The loop of x is 2 x 58 um high",
-        "paper": 116.0,
-        "quote": "2 x 58 um",
-        "unit": "um",
-        "quantity": {"metric": "height_um", "excited_axis": "x", "measured_axis": "x"},
-        "agreement": {"within": 0.02},
-    }
-    asked = {"kind": "paper", "claims": [claim], "also_on": [{"actuator": "duo_bimorph"}]}
+    asked = {"kind": "paper", "claims": [CLAIM], "also_on": [{"actuator": "duo_bimorph"}]}
     page = run_page(report_of(drive=SINE_V, assessment=asked), ["loops.svg"]).markdown()
     assert page.index("(loops.svg)") < page.index("## Claims of the paper") < page.index("## Numbers")
     (line,) = (cells(line) for line in page.splitlines() if line.startswith("| C1"))

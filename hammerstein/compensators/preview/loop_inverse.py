@@ -183,9 +183,8 @@ class LoopInverseLaw(Law[LoopPathState]):
     and U = Gamma_0^-1 v: every pass inverts a linear block exactly on the sample grid (``LoopPass``,
     ``linear_inverse``). K are the gains of slow loops over a part of the range (``FeedbackBlock.slow_gain``)
     or of the largest amplitudes, whichever leaves least of a trial path. Gamma_0 is a hysteresis in front of
-    the dynamics. Each pass looks ``reach_samples`` further
-    ahead. A path that is known as a whole (``drive_for``) takes accelerated steps of its own, which also
-    converge where passes lead away.
+    the dynamics. Each pass looks ``reach_samples`` further ahead. A path that is known as a whole
+    (``drive_for``) takes accelerated steps of its own, which also converge where passes lead away.
 
     The actuator starts at rest at its working point. A drive that stands at its range leaves the path, and
     the law does not know.
@@ -201,7 +200,8 @@ class LoopInverseLaw(Law[LoopPathState]):
     Attributes
     ----------
     preview_samples : samples that must be known ahead
-    passes, left : how many leave least of the trial path, and what part of it
+    loops : the gains that have an inverse; a path known as a whole is tried with all of them
+    loop, passes, left : gain and number of passes of a stream, and the part of the trial path that they leave
 
     Raises
     ------

@@ -187,8 +187,9 @@ class _Work:
         assert self.kept is not None
         found = LoopParameters.load(self.kept)
         more = json.loads(self.kept.read_text(encoding="utf-8")).get("search", {})
-        if more.get("of") != self.digest:
-            raise InputError(str(self.kept), "belongs to a search on other records; remove it to start again")
+        if more.get("of") != self.digest or "trials" not in more:
+            what = "belongs to a search on other records or of another version; remove it to start again"
+            raise InputError(str(self.kept), what)
         self.tell("continuing the interrupted search")
         self.trials = [Trial(name, count, np.array(squares)) for name, count, squares in more["trials"]]
         block = _linear(records, len(found.B))[0]
@@ -207,7 +208,7 @@ class _Work:
     def _tried(self, begun: LoopParameters, best: _Best | None, parts: _Selection) -> _Best:
         """Search until the error held back falls no more."""
         least = np.inf if best is None else GAINED * best.trial.percent
-        tried = _Best(begun, replace(parts.of_loop(begun), squares=np.array([np.inf])), 0)
+        tried = _Best(begun, Trial(begun.describe(), len(begun.vector()), np.array([np.inf])), 0)
 
         def tell(progress: Progress) -> None:
             nonlocal tried
