@@ -10,7 +10,14 @@ import typer
 
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.jobs import PROCESSORS
-from hammerstein.commands.record_options import AsJson, HeldBack, Identified, Overwrite, RecordFiles
+from hammerstein.commands.record_options import (
+    AsJson,
+    HeldBack,
+    Identified,
+    InLoop,
+    Overwrite,
+    RecordFiles,
+)
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.commands.watch import Spinner
 
@@ -23,6 +30,7 @@ def compare(
     recorded: RecordFiles,
     held: HeldBack,
     identified: Identified,
+    in_loop: InLoop,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")] = Path("compare"),
     jobs: Annotated[
         int, typer.Option(min=1, help="Parallel identifications.", show_default="the processors")
@@ -41,7 +49,7 @@ def compare(
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
     from hammerstein.runtime.storage.staging import prepare
 
-    settings = identified.settings()
+    settings, loop = identified.settings(), in_loop.settings(identified.order)
     held.refuse_fitted(recorded.files)
     refuse_unwritable("--out", out)
     prepare(out, COMPARISON, ALWAYS, overwrite)
@@ -54,7 +62,7 @@ def compare(
         def watch(what: str, done: int, total: int) -> None:
             spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)
 
-        found = compared(records, settings, validation=validation, jobs=jobs, progress=watch)
+        found = compared(records, settings, validation=validation, in_loop=loop, jobs=jobs, progress=watch)
     for place in write_comparison(found, out, figures, overwrite):
         complain(kept_aside(place))
     if as_json:

@@ -13,6 +13,7 @@ import typer
 from hammerstein.commands.terminal import complain
 
 if TYPE_CHECKING:
+    from hammerstein.identification.in_loop.identify import LoopSettings
     from hammerstein.identification.settings import Settings
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
@@ -210,6 +211,28 @@ class StaticBlock:
     dead_zones: Annotated[
         int | None, typer.Option(help="Dead-zones of each input, with asymmetric; default: searched.")
     ] = None
+
+
+@dataclass(frozen=True)
+class InLoop:
+    """Hysteresis in the loop of the dynamics."""
+
+    hysteresis_in_loop: Annotated[
+        bool,
+        typer.Option(
+            "--hysteresis-in-loop",
+            help="Plays in the loop of a state space, for resonances that move with the amplitude.",
+        ),
+    ] = False
+    minutes: Annotated[
+        float, typer.Option(min=0.1, max=1440.0, help="Time limit of --hysteresis-in-loop.")
+    ] = 60.0
+
+    def settings(self, order: int | None) -> LoopSettings | None:
+        """The settings of its search; None where it is not asked for."""
+        from hammerstein.identification.in_loop.identify import LoopSettings
+
+        return LoopSettings(order, self.minutes) if self.hysteresis_in_loop else None
 
 
 @dataclass(frozen=True)

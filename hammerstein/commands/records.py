@@ -16,6 +16,7 @@ from hammerstein.commands.record_options import (
     AsJson,
     HeldBack,
     Identified,
+    InLoop,
     Overwrite,
     RecordFiles,
     StaticBlock,
@@ -136,16 +137,7 @@ def identify(
     held: HeldBack,
     identified: Identified,
     static: StaticBlock,
-    hysteresis_in_loop: Annotated[
-        bool,
-        typer.Option(
-            "--hysteresis-in-loop",
-            help="Plays in the loop of a state space, for resonances that move with the amplitude.",
-        ),
-    ] = False,
-    minutes: Annotated[
-        float, typer.Option(min=0.1, max=1440.0, help="Time limit of --hysteresis-in-loop.")
-    ] = 60.0,
+    in_loop: InLoop,
     out: Annotated[Path, typer.Option(metavar="FILE", help="File for the model.")] = Path("model.json"),
     report: Annotated[
         Path | None,
@@ -161,30 +153,26 @@ def identify(
     """
     from hammerstein.commands.terminal_tables import fit_table, kept_aside
     from hammerstein.files import refuse_unwritable
-    from hammerstein.identification.in_loop.identify import LoopSettings
     from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, answer, fit_json, write_fit
     from hammerstein.runtime.storage.staging import prepare
 
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
-    settings: Settings | LoopSettings = (
-        LoopSettings(identified.order, minutes)
-        if hysteresis_in_loop
-        else identified.settings(hysteresis=static.hysteresis, dead_zones=static.dead_zones)
+    settings: Settings | LoopSettings = in_loop.settings(identified.order) or identified.settings(
+        hysteresis=static.hysteresis, dead_zones=static.dead_zones
     )
     folder = report or out.parent / f"{out.stem}_fit"
     refuse_unwritable("--report", folder)
     prepare(folder, FIT, ALWAYS, overwrite)
-    words = [*words_of(recorded), *words_of(identified), *words_of(static), "--out", str(out)]
-    if hysteresis_in_loop:
-        words += ["--hysteresis-in-loop", "--minutes", f"{minutes:g}"]
+    groups = (recorded, identified, static, in_loop)
+    words = [*(word for group in groups for word in words_of(group)), "--out", str(out)]
     asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     model, fit = _identified(records, settings, validation, out)
     for place in write_fit(model, fit, out, folder, figures, overwrite, asked):
         complain(kept_aside(place))
-    if hysteresis_in_loop:
+    if in_loop.hysteresis_in_loop:
         search_file(out).unlink(missing_ok=True)
     if as_json:
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)

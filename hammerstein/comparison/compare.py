@@ -9,11 +9,13 @@ from pathlib import PurePath
 
 import numpy as np
 
-from hammerstein.comparison.fitting import Fitted, Progress, fit_all
+from hammerstein.comparison.fitting import Failed, Fitted, Progress, fit_all
+from hammerstein.comparison.in_loop import NAME as IN_LOOP, LoopFit, fit_in_loop, refuse_sensor
 from hammerstein.comparison.inverting import Inverse, inverse_of, left_by
 from hammerstein.comparison.result import Compared, Comparison
-from hammerstein.dynamics import discretise
+from hammerstein.dynamics import on_grid
 from hammerstein.identification.identify import from_last_rest
+from hammerstein.identification.in_loop.identify import LoopSettings
 from hammerstein.identification.initialisation import start_mode
 from hammerstein.identification.model_selection import Trial, as_good, chosen, least, trial_of
 from hammerstein.identification.residual_analysis import record_flags
@@ -97,6 +99,7 @@ def compare(
     settings: Settings | None = None,
     *,
     validation: Sequence[Record] = (),
+    in_loop: LoopSettings | None = None,
     jobs: Jobs = 1,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -110,6 +113,7 @@ def compare(
     records : experiments on one actuator, as for ``identify``
     settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
     validation : validation records: reported, never used to choose
+    in_loop : also try hysteresis in the loop of a state space, as ``identify_in_loop`` does; it takes minutes
     jobs : number of parallel processes, or an executor of ``concurrent.futures``
     progress : called with the current step, the number of finished identifications, and their total
 
@@ -136,6 +140,8 @@ def compare(
     """
     tell = progress or (lambda what, done, total: None)
     settings = settings or Settings()
+    if in_loop is not None:
+        refuse_sensor(settings)
     ready = from_last_rest(records, settings.sensor, accept_order=settings.accept_order)
     held = (
         from_last_rest(validation, settings.sensor, accept_order=settings.accept_order) if validation else ()
@@ -152,20 +158,34 @@ def compare(
         trial_of(one.name, one.candidate, ready, one.starts, invertible=inverse.exact)
         for one, inverse in zip(fitted, inverses, strict=True)
     ]
-    best, good = fitted[least(trials)], as_good(trials)
+    best, taken = fitted[least(trials)], fitted[chosen(trials)]
+    good = {fitted[i].name for i in as_good(trials)}
+    others = list(zip(fitted, trials, strict=True))
+    loop = in_loop and fit_in_loop(
+        records, in_loop, validation, others, lambda text: tell(f"{IN_LOOP}: {text}", 1, 1)
+    )
+    if isinstance(loop, Failed):
+        failed.append(loop)
+    elif loop and loop.wins:
+        best, taken, good = loop.fitted, loop.fitted, loop.good
+    elif loop:
+        good |= loop.good & {IN_LOOP}
     entries = [
-        _entry(one, inverse, trial, i in good, best, (ready, held))
-        for i, (one, inverse, trial) in enumerate(zip(fitted, inverses, trials, strict=True))
+        _entry(one, inverse, trial, one.name in good, best, (ready, held))
+        for one, inverse, trial in zip(fitted, inverses, trials, strict=True)
     ]
+    if isinstance(loop, LoopFit):
+        entries.append(_entry(loop.fitted, loop.inverse, loop.trial, IN_LOOP in good, best, loop.records))
     return Comparison(
         tuple(sorted(entries, key=lambda entry: entry.parameters)),
         tuple(failed),
         best.name,
-        fitted[chosen(trials)].name,
+        taken.name,
         records[0].inputs,
         records[0].outputs,
         tuple(PurePath(record.source).name for record in records),
         tuple(PurePath(record.source).name for record in validation),
+        loop.unseen() if isinstance(loop, LoopFit) else None,
     )
 
 
@@ -222,7 +242,7 @@ def ns_a_sample(model: HammersteinModel, record: Record) -> float:
     """Time of one sample of hysteresis and linear block, all axes together [ns]; the shortest of five."""
     u = np.tile(record.u_v, -(-TIMED_SAMPLES // record.samples))[:, :TIMED_SAMPLES]
     hysteresis = model.hysteresis.on_grid(record.sample_time_s)
-    block = discretise(model.dynamics, record.sample_time_s)
+    block = on_grid(model.dynamics, record.sample_time_s)
     times = []
     for _ in range(REPEATS + 1):  # the first one may have to compile
         begun = time.perf_counter_ns()

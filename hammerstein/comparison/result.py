@@ -26,7 +26,10 @@ RULE = (
     f"difference of the squared errors to the best model over the folds: each record has {PARTS} "
     "parts, and every fourth part belongs to one fold."
 )
-
+IN_LOOP_RULE = (
+    "Hysteresis in the loop is judged on a third of the experiments, with parameters from the others. It is "
+    "recommended only if the same rule chooses it there, although all other models were fitted to them."
+)
 
 MUCH_LEFT = 3.0
 """What a compensator leaves, in parts of the error of its model, from which it is said: both errors and a
@@ -49,6 +52,30 @@ class Left:
     percent: float | None = None
     at_range_percent: float | None = None
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Errors on the experiments to which one model was not fitted, but all others were.
+
+    name : of that model; percent : its rms error in percent of the range
+    rival, rival_percent : the other model with the least error, and that error
+    experiments : their number
+    """
+
+    name: str
+    percent: float
+    rival: str
+    rival_percent: float
+    experiments: int
+
+    def sentence(self) -> str:
+        """Say both errors."""
+        many = f"{self.experiments} experiment{'s' * (self.experiments != 1)}"
+        return (
+            f"On {many}, {self.name} has an error of {self.percent:.3g} % with parameters from the other "
+            f"experiments; {self.rival} has {self.rival_percent:.3g} % with parameters from all of them."
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +163,7 @@ class Comparison:
     recommended : name of the model that ``RULE`` recommends
     inputs, outputs : names of the axes
     records, held : names of fitted and validation records
+    unseen : errors that decide on hysteresis in the loop; None if it was not asked for, or failed
     frequencies_hz : frequencies of the records, each once [Hz]
     """
 
@@ -147,6 +175,7 @@ class Comparison:
     outputs: tuple[str, ...]
     records: tuple[str, ...]
     held: tuple[str, ...]
+    unseen: Unseen | None = None
 
     def __getitem__(self, name: str) -> Compared:
         """Entry of a model by its name; KeyError where there is none."""
@@ -156,6 +185,11 @@ class Comparison:
     def frequencies_hz(self) -> tuple[float, ...]:
         """Frequencies of the records that are judged [Hz]."""
         return tuple(self.entries[0].judged_at)
+
+    @property
+    def rule(self) -> str:
+        """How the recommended model is chosen."""
+        return RULE if self.unseen is None else f"{RULE} {IN_LOOP_RULE}"
 
     def sentences(self) -> list[str]:
         """Recommendation with its reason, then warnings."""
@@ -177,6 +211,8 @@ class Comparison:
                     f"{best.name} has a cross-validation error of {best.folds_percent:.3g} %, but no inverse."
                 )
             )
+        if self.unseen is not None:
+            said.append(self.unseen.sentence())
         if not self.held:
             said.append(
                 "There is no validation record, so the error on other records is unknown: add one "
@@ -199,7 +235,8 @@ class Comparison:
             "format": FORMAT,
             "recommended": self.recommended,
             "best": self.best,
-            "rule": RULE,
+            "rule": self.rule,
+            "unseen": self.unseen and asdict(self.unseen),
             "sentences": self.sentences(),
             "inputs": list(self.inputs),
             "outputs": list(self.outputs),

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from hammerstein.comparison.inverting import HEADROOM, SETTLING
-from hammerstein.comparison.result import RULE, Compared, Comparison
+from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.escaping import Markdown, markdown, markdown_page
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs
 from hammerstein.runtime.storage.manifest import Owner
@@ -73,7 +73,7 @@ def _body(found: Comparison) -> Markdown:
         found=found,
         header=HEADER,
         lines=[(entry, cells(entry)) for entry in found.entries],
-        rule=RULE,
+        rule=found.rule,
         settling=f"{SETTLING:.1%}",
         headroom=f"{HEADROOM:.0%}",
         faults=faults,

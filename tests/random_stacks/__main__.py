@@ -1,10 +1,11 @@
 """Identify made-up stacks, predict where they resonate, and follow a path with them.
 
-    python -m tests.random_stacks [FIRST [LAST]]
+    python -m tests.random_stacks [FIRST [LAST [FILE]]]
 
 Each has its seed: one to three axes, loops 5 to 20 % wide, resonances of 200 to 2000 Hz, noise of 0.5 %. It
 is identified from multisines at three levels. The resonance is then predicted at a level between, and at one
-30 % above; last, a multisine is followed. A row of results.csv beside this file is what came of one.
+30 % above; last, a multisine is followed. What came of one is a row of results.csv beside this file, or of
+another FILE; its minutes are those of the processors.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ EXPERIMENTS = 9
 NOISE = 0.005
 PATH_V, PATH_PART = 0.6, 0.6
 """The path is what this level moves, up to this part of the lowest resonance."""
-SETTINGS = LoopSettings(minutes=6.0)
+SETTINGS = LoopSettings(minutes=float("inf"))
+"""No clock: a search ends after its own steps, so that a busy computer gives the same rows."""
 
 
 def multisine(seed, axes, highest_hz, time_s):
@@ -123,7 +125,7 @@ def tried(seed):
         "resonance_hz": round(float(near.max()), 1),
         "width": round(float(widths.max()), 3),
     }
-    begun = time.monotonic()
+    begun = time.process_time()
     try:
         model, fit = identify_in_loop(records(stacks, band, seed), SETTINGS)
     except HammersteinError as error:
@@ -146,16 +148,21 @@ def tried(seed):
     row["linear_percent"], row["held_percent"] = f"{fit.trials[0].percent:.4g}", f"{held:.4g}"
     ratios = followed(stacks, model, near.min(), band, seed)
     row["followed_in_noise"], row["in_noise_of_records"] = (round(ratio, 2) for ratio in ratios)
-    return row | {"minutes": round((time.monotonic() - begun) / 60.0, 1)}
+    return row | {"minutes": round((time.process_time() - begun) / 60.0, 1)}
 
 
-def main(first=0, last=ACTUATORS - 1):
+def main(first=0, last=ACTUATORS - 1, results=RESULTS):
     rows = []
     for seed in range(int(first), int(last) + 1):
         rows.append(tried(seed))
         print(rows[-1], flush=True)
+        write(rows, Path(results))
+
+
+def write(rows, results):
+    """Write all rows so far: an interrupted campaign loses one."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with RESULTS.open("w", encoding="utf-8", newline="") as out:
+    with results.open("w", encoding="utf-8", newline="") as out:
         table = csv.DictWriter(out, names, lineterminator="\n")
         table.writeheader()
         table.writerows(rows)

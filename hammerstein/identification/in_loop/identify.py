@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.fit import Fit
@@ -23,6 +22,7 @@ from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.periods import from_one_point, settled_periods
 from hammerstein.identification.in_loop.result import Found, result_of
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
+from hammerstein.identification.in_loop.selection import Selection
 from hammerstein.identification.in_loop.start import (
     linear_start,
     with_band,
@@ -39,8 +39,6 @@ from hammerstein.runtime.resources import one_blas_thread
 STATES = (2, 4, 6)
 """Of each output, where no order is given. A model with more than it needs explains with further modes, and
 badly, that a resonance moves with the amplitude."""
-HELD = 3
-"""One of so many experiments is held back while the structure is chosen."""
 FEWEST = 3
 """Experiments that this takes."""
 PATIENCE = 4
@@ -90,9 +88,9 @@ def identify_in_loop(
     """
     ready, held = from_one_point(from_last_rest(records), from_last_rest(validation) if validation else ())
     _refuse(ready, held)
-    work = _Work(settings or LoopSettings(), kept, _digest(ready), progress)
     with ThreadPoolExecutor(2) as pool:
-        found = work.resumed(ready, pool) if kept is not None and kept.is_file() else work.chosen(ready, pool)
+        work = _Work(settings or LoopSettings(), kept, _digest(ready), progress, pool)
+        found = work.resumed(ready) if kept is not None and kept.is_file() else work.chosen(ready)
     if not found.chosen.percent < found.linear.percent:
         raise IdentificationError(
             f"hysteresis in the loop has an error of {found.chosen.percent:.3g} % of the range on the "
@@ -100,43 +98,6 @@ def identify_in_loop(
             "the model. Identify without --hysteresis-in-loop"
         )
     return result_of(found, ready, held, name)
-
-
-@dataclass(frozen=True, eq=False)
-class _Selection:
-    """Experiments that are fitted while the structure is chosen, and those held back that choose it."""
-
-    seen: Sequence[SettledPeriod]
-    held: Sequence[SettledPeriod]
-    pool: Executor
-
-    @classmethod
-    def of(cls, periods: Sequence[SettledPeriod], pool: Executor) -> _Selection:
-        """Hold back one of ``HELD`` in the order of their amplitudes.
-
-        Without the largest amplitudes, the others do not determine what the hysteresis does there.
-        """
-        order = np.argsort([period.u.std() for period in periods], kind="stable").tolist()
-        back = sorted(order[HELD // 2 :: HELD])
-        seen = [period for i, period in enumerate(periods) if i not in back]
-        return cls(seen, [periods[i] for i in back], pool)
-
-    def of_linear(self, block: LinearBlock) -> Trial:
-        """Linear dynamics on what is held back."""
-        errors = [p.left(block.respond(p.sent)[0][:, p.warm :]) for p in self.held]
-        n, (p, m) = len(block.A), block.D.shape
-        return Trial(f"linear dynamics, order {n}", 2 * n + n * m + p * n + p * m, self._squares(errors))
-
-    def of_loop(self, found: LoopParameters) -> Trial:
-        """Parameters on what is held back."""
-        errors = self.pool.map(lambda p: p.left(found.simulate(p.u, p.warm)), self.held)
-        return Trial(found.describe(), len(found.vector()), self._squares(list(errors)))
-
-    def _squares(self, errors: Sequence[Array]) -> Array:
-        """Mean squared errors (experiment,) in parts of the ranges of the outputs."""
-        ranges = np.max([np.ptp(period.y, axis=1) for period in self.held], axis=0)
-        with np.errstate(all="ignore"):  # of a simulation that diverged
-            return np.array([np.mean((error / ranges[:, None]) ** 2) for error in errors])
 
 
 class _Best(NamedTuple):
@@ -151,18 +112,23 @@ class _Work:
     """One search: what was asked, when it ends, and what was tried."""
 
     def __init__(
-        self, settings: LoopSettings, kept: Path | None, digest: str, tell: Callable[[str], None]
+        self,
+        settings: LoopSettings,
+        kept: Path | None,
+        digest: str,
+        tell: Callable[[str], None],
+        pool: Executor,
     ) -> None:
-        self.settings, self.kept, self.digest, self.tell = settings, kept, digest, tell
+        self.settings, self.kept, self.digest, self.tell, self.pool = settings, kept, digest, tell, pool
         self.begun_s = time.monotonic()
         self.trials: list[Trial] = []
 
-    def chosen(self, records: Sequence[Record], pool: Executor) -> Found:
+    def chosen(self, records: Sequence[Record]) -> Found:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
         self.tell("fitting linear dynamics")
         blocks = _linear(records, self.settings.order)
         periods = settled_periods(records, blocks[0].respond)
-        parts = _Selection.of(periods, pool)
+        parts = Selection.of(periods)
         linear, block = min(((parts.of_linear(one), one) for one in blocks), key=lambda pair: pair[0].percent)
         self.trials = [linear]
         best = None
@@ -180,9 +146,9 @@ class _Work:
             larger = grow(best.found)
             if larger is not None:
                 best = self._better(larger, best, parts)
-        return Found(self._all(best, periods, pool), block, self._marked(best))
+        return Found(self._all(best, periods), block, self._marked(best))
 
-    def resumed(self, records: Sequence[Record], pool: Executor) -> Found:
+    def resumed(self, records: Sequence[Record]) -> Found:
         """Go on with the file of an interrupted search."""
         assert self.kept is not None
         found = LoopParameters.load(self.kept)
@@ -195,9 +161,9 @@ class _Work:
         block = _linear(records, len(found.B))[0]
         best = _Best(found, self.trials[-1], more["steps"])
         periods = settled_periods(records, block.respond)
-        return Found(self._all(best, periods, pool), block, self._marked(best))
+        return Found(self._all(best, periods), block, self._marked(best))
 
-    def _better(self, begun: LoopParameters, best: _Best | None, parts: _Selection) -> _Best:
+    def _better(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
         """Search from other parameters if there is time; return the better structure."""
         if best is not None and self._is_late(0.5):
             return best
@@ -205,14 +171,14 @@ class _Work:
         self.trials.append(tried.trial)
         return tried if best is None or tried.trial.percent < GAINED * best.trial.percent else best
 
-    def _tried(self, begun: LoopParameters, best: _Best | None, parts: _Selection) -> _Best:
+    def _tried(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
         """Search until the error held back falls no more."""
         least = np.inf if best is None else GAINED * best.trial.percent
         tried = _Best(begun, Trial(begun.describe(), len(begun.vector()), np.array([np.inf])), 0)
 
         def tell(progress: Progress) -> None:
             nonlocal tried
-            now = parts.of_loop(progress.found)
+            now = parts.of_loop(progress.found, self.pool)
             self.tell(f"{now.name}, step {progress.step}: {now.percent:.3g} % on the selection experiments")
             if now.percent < tried.trial.percent:
                 tried = _Best(progress.found, now, progress.step + 1)
@@ -221,10 +187,10 @@ class _Work:
             if self._is_late(0.5) or progress.step + 1 - tried.steps >= PATIENCE:
                 raise StopIteration
 
-        _run(begun, parts.seen, parts.pool, tell, Search())
+        _run(begun, parts.seen, self.pool, tell, Search())
         return tried
 
-    def _all(self, best: _Best, periods: Sequence[SettledPeriod], pool: Executor) -> LoopParameters:
+    def _all(self, best: _Best, periods: Sequence[SettledPeriod]) -> LoopParameters:
         """Fit all experiments with the structure chosen, by as many steps."""
         found = best.found
 
@@ -238,7 +204,7 @@ class _Work:
                 raise StopIteration
 
         self._keep(best)
-        _run(found, periods, pool, tell, Search(steps=best.steps))
+        _run(found, periods, self.pool, tell, Search(steps=best.steps))
         return found
 
     def _is_late(self, part: float = 1.0) -> bool:
