@@ -211,7 +211,8 @@ def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, contest
         points.append((f"at {names[condition]}: " if len(values) > 1 else "") + ", ".join(texts))
     if len(points) == 1:
         return Sentence(f"The {merit.words}: {points[0]}.")
-    return Sentence(f"The {merit.words}:", tuple(points), _table(values, names, contest))
+    compared = any(len(found) > 1 for found in values.values())  # a diagonal is no table
+    return Sentence(f"The {merit.words}:", tuple(points), _table(values, names, contest) if compared else ())
 
 
 def _table(

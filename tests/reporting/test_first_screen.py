@@ -14,6 +14,7 @@ from hammerstein.commands.cli import main
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
 from hammerstein.reporting.overview import digest, write_overview
+from hammerstein.reporting.summary import sentences
 
 CIRCLE = {"kind": "circle", "radius_um": 20, "frequency_hz": 50}
 SINE = {"kind": "sine", "amplitude_um": 20, "frequency_hz": 80}
@@ -51,6 +52,19 @@ def test_many_reports_end_in_fifteen_lines(reports: list[Report], tmp_path: Path
     assert any("sine, 20 um, 80 Hz" in line for line in told)  # not three of one kind
     assert "  duo_bimorph_static: 0 of 20 met, 0 undecided" in lines
     assert not any("not met" in line for line in lines)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_compensators_that_meet_nowhere_are_no_table(alone: bool) -> None:
+    """One number in each row and column: a list says the same without a screen of empty cells."""
+    found = []
+    for hz in (50.0, 100.0):
+        law = {"label": f"at {hz:g}", "law": "exact_inverse", "model": "duo_bimorph_static"}
+        found.append(law | ({"only_at_hz": [hz]} if alone else {}))
+    asked = _content(SINE) | {"sweep": {"frequency_hz": [50.0, 100.0]}, "compensators": found}
+    told = [one for one in sentences(run(asked)) if one.points]
+    assert told
+    assert all(bool(one.table) != alone for one in told)
 
 
 def test_a_headline_leaves_out_what_the_range_alone_decides(tmp_path: Path) -> None:
