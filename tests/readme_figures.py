@@ -1,8 +1,8 @@
-"""The table of errors in the README: ranges over twelve seeds of noise and two sample times.
+"""The errors in the README and in the paper of the package: ranges over twelve seeds and two sample times.
 
     python tests/readme_figures.py            print it (about ten minutes)
-    python tests/readme_figures.py --write    put it into the README
-    python tests/readme_figures.py --check    exit code 1 where the README says something else
+    python tests/readme_figures.py --write    put its lines into the README and .github/paper.md
+    python tests/readme_figures.py --check    exit code 1 where one of them says something else
 
 ``test_readme_figures`` runs one seed of it.
 """
@@ -12,12 +12,13 @@ from __future__ import annotations
 import itertools
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
+TEXTS = (README, ROOT / ".github/paper.md")
 SEEDS = tuple(range(1, 13))
 SAMPLE_TIMES_S = (50e-6, 25e-6)
 """Of the records and of the run: a figure that rests on one grid shows on the other."""
@@ -100,29 +101,33 @@ def printed(readme: str) -> dict[str, tuple[float, float]]:
     return found
 
 
-def table(seeds: Sequence[int] = SEEDS) -> str:
-    """Give the whole table."""
+def table(seeds: Sequence[int] = SEEDS) -> dict[str, str]:
+    """Give every line of the table by its words."""
     every = list(itertools.product(seeds, SAMPLE_TIMES_S))
-    rows = [line(figure, [v for one in every for v in figure.values(*one)]) for figure in FIGURES]
-    return "\n".join((*HEADER, *rows))
+    return {figure.words: line(figure, [v for one in every for v in figure.values(*one)]) for figure in FIGURES}
+
+
+def written(text: str, lines: Mapping[str, str]) -> str:
+    """Put the lines of the table in the place of those with the same words."""
+    return "\n".join(lines.get(row.strip("|").split("|")[0].strip(), row) for row in text.split("\n"))
 
 
 def main(arguments: Sequence[str]) -> int:
     """Do what the command line asks for."""
     import os
 
-    readme = README.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as fresh:  # most lines take the same identification
         os.environ["HAMMERSTEIN_CACHE"] = fresh
-        made = table()
-    print(made)
-    first = readme.index(HEADER[0])
-    last = readme.index("\n\n", first)
-    if "--write" in arguments:
-        README.write_text(readme[:first] + made + readme[last:], encoding="utf-8")
-    elif "--check" in arguments and readme[first:last] != made:
-        print("\nREADME.md says something else: python tests/readme_figures.py --write", file=sys.stderr)
-        return 1
+        lines = table()
+    print(*HEADER, *lines.values(), sep="\n")
+    for path in TEXTS:
+        before = path.read_text(encoding="utf-8")
+        after = written(before, lines)
+        if "--write" in arguments:
+            path.write_text(after, encoding="utf-8")
+        elif "--check" in arguments and before != after:
+            print(f"\n{path} says something else: python tests/readme_figures.py --write", file=sys.stderr)
+            return 1
     return 0
 
 

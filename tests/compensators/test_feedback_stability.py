@@ -188,6 +188,18 @@ def test_hardly_any_drawn_stage_is_refused():
     assert refused <= 0.05 * STAGES
 
 
+@pytest.mark.parametrize("number", [189, 261, 266])
+def test_a_loop_that_lower_gains_make_more_sensitive_at_first_is_tuned(number):
+    """Each of these was refused: gains were lowered by 2 % at a time, and the search ended too early."""
+    stage = replace(drawn(number), derivative=True)
+    gains = FeedbackController(
+        stage.model(), stage.range_v, stage.sample_time_s, stage.sensor_hz, derivative=True
+    ).gains
+    peak, radius = peak_and_radius(stage, gains, np.random.default_rng(number))
+    assert radius < 1.0
+    assert peak <= MOST * 1.001
+
+
 @pytest.mark.parametrize("derivative", [False, True])
 @pytest.mark.parametrize("damping", [1e-4, 5e-4, 2e-3, 5e-3])
 def test_a_step_of_a_lightly_damped_stage_settles(damping, derivative):

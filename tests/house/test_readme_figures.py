@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from readme_figures import FIGURES, SAMPLE_TIMES_S, printed
+from readme_figures import FIGURES, SAMPLE_TIMES_S, line, printed, written
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 ROUNDED = 0.05  # of two digits
@@ -11,6 +11,13 @@ ROUNDED = 0.05  # of two digits
 
 def test_every_line_stands_in_the_readme():
     assert set(printed(README)) == {figure.words for figure in FIGURES}
+
+
+def test_lines_of_a_figure_are_replaced_and_nothing_else():
+    figure = FIGURES[0]
+    before = f"a\n| {figure.words} | 1 to 2 |\n| another | 1 to 2 |\n"
+    after = written(before, {figure.words: line(figure, [0.123, 4.56])})
+    assert after == f"a\n| {figure.words} | 0.12 to 4.6 |\n| another | 1 to 2 |\n"
 
 
 def _cases():
