@@ -104,7 +104,9 @@ def printed(readme: str) -> dict[str, tuple[float, float]]:
 def table(seeds: Sequence[int] = SEEDS) -> dict[str, str]:
     """Give every line of the table by its words."""
     every = list(itertools.product(seeds, SAMPLE_TIMES_S))
-    return {figure.words: line(figure, [v for one in every for v in figure.values(*one)]) for figure in FIGURES}
+    return {
+        figure.words: line(figure, [v for one in every for v in figure.values(*one)]) for figure in FIGURES
+    }
 
 
 def written(text: str, lines: Mapping[str, str]) -> str:

@@ -214,6 +214,7 @@ def test_ctrl_c_while_the_processes_begin_is_quiet(folder, wait_s):
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.full
 def test_ctrl_c_keeps_what_is_finished_and_leaves_no_half_file(folder, jobs):
     many = ", ".join(str(5 + 0.01 * i) for i in range(3000))
     slow = SMALL.replace("[[", f"[sweep]\nfrequency_hz = [{many}]\n[[", 1)

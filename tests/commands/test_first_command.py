@@ -68,6 +68,7 @@ def test_far_more_than_noise_is_said_first(stage):
     assert "Not tried: --dynamics auto; or --operators auto --partition auto" in fit.verdict
 
 
+@pytest.mark.full
 def test_ringing_and_creep_under_a_held_voltage_are_used():
     r, w = np.linspace(0.0, 20.0, 12), np.full(12, 0.03)
     w[0] = 0.6
@@ -103,6 +104,7 @@ def test_what_the_plays_remember_is_found(before_v, kind):
     assert fit.fit["static_hysteresis"].mean_percent < 0.1
 
 
+@pytest.mark.full
 def test_a_low_pass_is_found_and_kept_out_of_the_resonance():
     made = made_up.stage(5, plays=10, resonances_hz=None, lag_s=2e-3, noise_um=0.005, rate_hz=2e3)
     fitted, held = stage_records(made, np.random.default_rng(2))
@@ -160,6 +162,7 @@ def test_the_model_that_is_kept_obeys_the_rule_on_its_page(stage_fit):
     assert kept.parameters <= min(trial.parameters for trial in enough)
 
 
+@pytest.mark.full
 def test_linear_dynamics_that_are_kept_alone_stand_on_the_page():
     made = made_up.stage(4, loop=0.0, plays=2, resonances_hz=(150.0, 190.0), noise_um=0.02, rate_hz=5e3)
     fitted, held = stage_records(made, np.random.default_rng(3), cycles=4, hz=5.0)

@@ -279,6 +279,7 @@ LENGTHY = ("compare", "identify", "init")  # the lines of guide and fixtures are
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.long) if n in LENGTHY else n for n in COMMANDS]
 )
+@pytest.mark.full
 def test_every_help_has_one_example_that_works_as_typed(
     name: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

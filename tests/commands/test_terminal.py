@@ -74,6 +74,7 @@ def test_an_error_message_gives_the_terminal_no_orders(folder):
     "arguments",
     [RUN, ("actuators",), ("schema",), ("--help",), pytest.param((*RUN, "--json"), marks=pytest.mark.long)],
 )
+@pytest.mark.full
 def test_output_that_cannot_be_written_is_one_message(folder, arguments):
     done = shell("> /dev/full", *arguments)
     assert done.returncode == 2
@@ -88,12 +89,14 @@ def test_output_that_cannot_be_written_is_one_message(folder, arguments):
         *(pytest.param(r, marks=pytest.mark.long) for r in ("2>&-", ">&-", ">&- 2>&-")),
     ],
 )
+@pytest.mark.full
 def test_streams_that_nobody_reads_change_nothing(folder, redirection):
     assert shell(redirection, *RUN).returncode == 0
     assert json.loads((folder / "reports/odd/report.json").read_text())["name"] == "odd"
     assert shell(redirection, "run", "missing.toml").returncode == 2
 
 
+@pytest.mark.full
 def test_a_reader_who_has_seen_enough_is_no_mistake(folder):
     done = shell("| true; exit ${PIPESTATUS[0]}".replace("exec", ""), "schema")
     assert done.returncode in (0, 2)

@@ -293,6 +293,7 @@ def test_twins_of_a_name_keep_their_columns(stage):
     assert list(table.columns[:3]) == ["time_s", "drive_Volt_v", "drive_Volt_2_v"]
 
 
+@pytest.mark.full
 def test_scenario_about_a_working_point(tmp_path):
     """The same experiment at another working point: the same positions, voltages moved by it."""
     import hammerstein

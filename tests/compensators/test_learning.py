@@ -352,6 +352,7 @@ def test_a_trial_is_the_same_alone_and_in_any_order(off):
     assert [row.figures for row in chosen.rows] == [row.figures for row in alone.rows]
 
 
+@pytest.mark.full
 def test_trials_go_on_in_another_process(off):
     """A set-up that was used is sent and gives the same numbers there."""
     setup = set_up(Scenario.model_validate(_scenario([1, 2], actuator=off)))

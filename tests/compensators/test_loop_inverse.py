@@ -166,6 +166,7 @@ def test_compensate_gives_voltages_and_the_reach_of_the_loop():
         assert reached[axis] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.full
 def test_a_scenario_learns_on_its_inverse(tmp_path):
     """The true stack has 1.3 times the hysteresis of the model: five trials leave a tenth of the first."""
     true, known = tmp_path / "true.json", tmp_path / "known.json"

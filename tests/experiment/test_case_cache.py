@@ -440,6 +440,7 @@ main()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.full
 def test_killed_at_half_at_most_half_is_left(place, tmp_path, worked_out):
     (tmp_path / "s.toml").write_text(TEN)
     arguments = ["run", str(tmp_path / "s.toml"), "--jobs", "1", "--no-figures", "--out"]

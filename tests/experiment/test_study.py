@@ -365,6 +365,7 @@ def beside(how, *arguments):
     return done.returncode, done.stderr
 
 
+@pytest.mark.full
 def test_two_sweeps_never_mix_in_one_file(tmp_path, monkeypatch):
     monkeypatch.setenv("HAMMERSTEIN_CACHE", str(tmp_path / "cache"))
     (tmp_path / "s.toml").write_text(TEXT)

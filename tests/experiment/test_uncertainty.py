@@ -119,6 +119,7 @@ def test_a_card_shows_the_band_and_what_was_learnt(tmp_path):
     assert shown in page
 
 
+@pytest.mark.full
 def test_draws_in_processes_are_those_of_this_process():
     scenario = {
         "question": "How wide is the band?",

@@ -98,6 +98,7 @@ def test_a_staircase_of_more_turns_than_it_holds_keeps_every_bit(name):
         pytest.param("parallel model", 100_000, marks=pytest.mark.long),
     ],
 )
+@pytest.mark.full
 def test_every_optimisation_of_every_compiler_gives_the_same_bits(name, samples):
     found = [command for command in ("gcc", "clang") if shutil.which(command)]
     if not found:
@@ -167,6 +168,7 @@ def test_a_number_that_is_none_changes_nothing(bad):
         *("flattening exact_inverse", "bouc-wen passes", "parallel model"),
     ],
 )
+@pytest.mark.full
 def test_no_signal_costs_more_than_the_bound(name, record_property):
     """Adverse signals, looked for by their cost."""
     code = case(name).code()
@@ -231,6 +233,7 @@ def test_code_without_a_bound_is_refused(body, word):
 
 @needs_compiler
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.full
 def test_the_bytes_are_those_of_the_compiler(name):
     """Numbers of every size are aligned as the compiler does it."""
     code, library = compiled(name)

@@ -93,6 +93,7 @@ def test_damaged_baselines_and_models(folder):
         model_file_case(mutated(actuator, draw), folder)
 
 
+@pytest.mark.full
 def test_hostile_files(tmp_path):
     """300 files whose names and values are hostile together, each read by a command."""
     seeds, seen = hostile.Seeds(tmp_path), []

@@ -397,6 +397,7 @@ def followed_records(tmp_path):
     return found
 
 
+@pytest.mark.full
 def test_a_kind_of_another_package_is_identified_by_its_name(follower, tmp_path, monkeypatch):
     """In Python, on the command line, and beside the others in a comparison."""
     records = followed_records(tmp_path)

@@ -28,6 +28,7 @@ def _cases():
 
 
 @pytest.mark.parametrize("figure", list(_cases()))
+@pytest.mark.full
 def test_a_seed_lies_in_the_printed_range(figure):
     low, high = printed(README)[figure.words]
     values = figure.values(seed=7, sample_time_s=min(SAMPLE_TIMES_S))  # accepted numbers have the other one

@@ -257,6 +257,7 @@ def test_a_simulation_comes_to_the_stable_limit_cycle(plant, controller, cycles,
     assert _frequency_hz(last) == pytest.approx(cycles[1].frequency_hz, rel=0.05)
 
 
+@pytest.mark.full
 def test_starts_on_both_sides_bracket_the_unstable_limit_cycle(plant, controller, cycles):
     below, above = (np.abs(_run(plant, controller, cycles[0], share, 2500)) for share in (0.9, 1.1))
     assert below[-300:].max() < 0.5 * cycles[0].amplitude_v

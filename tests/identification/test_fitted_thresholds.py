@@ -148,6 +148,7 @@ def test_pull_is_the_slope_of_the_squared_error(dynamics):
 
 
 @pytest.mark.parametrize(("count", "least"), [(5, 8), (8, 8), (12, 9)])
+@pytest.mark.full
 def test_most_models_return_from_the_time_partition(count, least):
     returned = 0
     for seed in range(10):

@@ -81,6 +81,7 @@ def test_the_simplest_model_within_half_a_percent_of_the_best_is_kept(micromanip
 
 @needs_dbo
 @pytest.mark.parametrize("operators", ["auto", 8, 10, 15])
+@pytest.mark.full
 def test_no_harmonic_of_the_single_rate_is_taken_for_a_resonance(micromanipulator, operators):
     """With 1.99 Hz, the second harmonic, the validation error was 4.83 %."""
     records, held = micromanipulator
@@ -157,6 +158,7 @@ def test_nested_loops_together_are_missed_and_named():
     ("level_mv", "percent"),
     [(100, 8.4), *(pytest.param(*more, marks=pytest.mark.long) for more in ((200, 8.0), (300, 5.6)))],
 )
+@pytest.mark.full
 def test_mirror_needs_dynamics_and_no_hysteresis(level_mv, percent):
     def read(part):
         files = [CUBESPEC / f"{axis}_{level_mv}mV_{part}.npy" for axis in "uy"]

@@ -107,6 +107,7 @@ def test_plays_before_the_same_axes_are_what_a_kind_is_compared_with():
     assert "The linear dynamics improve the model" in fit.verdict
 
 
+@pytest.mark.full
 def test_an_envelope_that_bent_to_a_resonance_is_found_straight_once_there_is_one():
     """Plays behind a resonance, driven by a slow sine and a multisine: the envelope has nothing to do."""
     path = discretise(AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.12),)), 0.5 * T)

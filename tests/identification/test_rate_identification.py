@@ -92,6 +92,7 @@ def test_growth_that_is_not_there_is_not_identifiable_and_plays_are_kept():
     assert fit.fit[fit.kind].mean_percent == pytest.approx(noise, rel=0.05)
 
 
+@pytest.mark.full
 def test_a_comparison_says_that_growth_is_not_identifiable():
     found = compare(without_growth(), Settings(dynamics="none", error_curve=False))
     reasons = {failed.hysteresis: failed.reason for failed in found.failed}
@@ -127,6 +128,7 @@ def test_the_packaged_stack_has_the_loops_that_were_asked_for():
         assert 100.0 * middle / np.ptp(v[cycle:]) == pytest.approx(width, abs=0.5)
 
 
+@pytest.mark.full
 def test_identify_says_how_thresholds_grow_and_what_it_gains():
     model, fit = identified("rate_dependent")
     assert isinstance(model.hysteresis, RateDependent)
@@ -159,6 +161,7 @@ def test_the_recipe_is_the_packaged_file():
 
 
 @pytest.mark.parametrize("growth_s", [2.5e-4, 5e-4])
+@pytest.mark.full
 def test_growth_is_found_behind_a_resonance_on_loops_of_falling_amplitude(growth_s):
     """The fold with the largest loops was predicted from what the others hardly show, far off.
 

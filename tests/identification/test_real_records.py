@@ -126,6 +126,7 @@ def held_then_triangles(made, hz, cut_s, cycles=20):
 
 
 @pytest.mark.parametrize("cut_s", [0.0, 0.2, 0.7, 1.5])
+@pytest.mark.full
 def test_records_that_begin_while_they_creep_predict_another_whatever_is_cut(cut_s):
     made = stage(creep=((0.05, 0.6),), lag_s=1e-3)
     fitted = [held_then_triangles(made, hz, cut_s, cycles) for hz, cycles in ((20.0, 20), (100.0, 60))]

@@ -2,6 +2,7 @@
 
 import made_up
 import numpy as np
+import pytest
 
 from hammerstein.identification.identify import identify
 from hammerstein.identification.residual_analysis import _strongest
@@ -25,6 +26,7 @@ def test_the_line_with_most_energy_is_the_strongest():
     assert _strongest(records, errors) == 25.0
 
 
+@pytest.mark.full
 def test_ringing_while_a_voltage_is_constant_is_no_clipped_reading():
     """A drive that holds its upper limit for a period of the resonance: the model predicts what swings on."""
     made = made_up.MadeUp(

@@ -55,6 +55,7 @@ def test_a_known_delay_of_the_sensor_is_not_the_actuators(sensor, actuator):
     assert "hold for this delay" in page
 
 
+@pytest.mark.full
 def test_records_of_several_sample_times_have_one_delay():
     late = 19
     records = [*late_records(late)[::2], *late_records(late, every=2)[1::2]]

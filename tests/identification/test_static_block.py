@@ -259,6 +259,7 @@ def test_an_absent_pair_stays_absent():
     assert fit.hysteresis.pairs[1][1].weights_um_per_v == pytest.approx([3.0], abs=1e-9)
 
 
+@pytest.mark.full
 def test_delay_is_found_with_hysteresis_in_the_way():
     u = random_walk(np.random.default_rng(11), 1)
     record = record_of(u, [[theory.R_V[:8]]], [[theory.W_XX[:8]]])

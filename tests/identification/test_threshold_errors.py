@@ -62,6 +62,7 @@ def errors(model):
     )
 
 
+@pytest.mark.full
 def test_errors_and_draws_are_those_of_refits():
     fits = [refitted(seed) for seed in range(120)]
     seen = np.std([flat(fit.hysteresis) for fit in fits], axis=0)

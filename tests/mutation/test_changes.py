@@ -36,6 +36,7 @@ def test_the_sign_of_what_is_returned():
     }
 
 
+@pytest.mark.full
 def test_every_change_leaves_a_program():
     changes = changes_of(ROOT)
     assert len(changes) > 5000

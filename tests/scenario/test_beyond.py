@@ -7,6 +7,8 @@ import pytest
 from hammerstein.experiment.run import run
 from hammerstein.scenario import Scenario
 
+pytestmark = pytest.mark.full  # the baselines of the scenarios guard the same numbers
+
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 JOINT = {"method": "hammerstein", "partition": "fitted"}
 DYNAMIC = {"label": "with dynamics", "law": "hammerstein_inverse", "identification": JOINT}
