@@ -15,9 +15,8 @@ LARGEST_SENSITIVITY = 1.6
 """Usual bounds of the largest sensitivity are 1.2 to 2 (Astrom and Hagglund, Advanced PID Control, 2006)."""
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
 """Ratios to the integral gain that are tried of the others, with 1 / (2 pi peak) as unit of time."""
-MOST_TRIES = 30
+MOST_TRIES, LITTLE, MUCH = 30, 0.98, 0.7
 """Each takes 2 to 30 % off the gains, the later ones more: a lower gain can be more sensitive at first."""
-LITTLE, MUCH = 0.98, 0.7
 
 
 def tuned(loop: FeedbackLoop, derivative: bool = False) -> Gains:
