@@ -208,16 +208,6 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         plural = "" if n.max() == 1 else "s"
         return f"{self.plays.describe()}; {counts} dead-zone{plural} for each input"
 
-    @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        return self.plays.n_inputs
-
-    @property
-    def n_outputs(self) -> int:
-        """Number p of outputs."""
-        return self.plays.n_outputs
-
     @cached_property
     def lines(self) -> ZoneLines:
         """All dead-zones as lines, relative to the working point."""

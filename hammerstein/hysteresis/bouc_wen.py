@@ -170,19 +170,9 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         refuse_other_sizes(self.operators, self.weight_covariance)
 
     @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        return len(self.pairs[0])
-
-    @property
-    def n_outputs(self) -> int:
-        """Number p of outputs."""
-        return len(self.pairs)
-
-    @property
     def operators(self) -> tuple[tuple[int, ...], ...]:
         """Number of weights of every pair (output, input): d and a."""
-        return ((2,) * self.n_inputs,) * self.n_outputs
+        return tuple((2,) * len(row) for row in self.pairs)
 
     @property
     def n_beside_weights(self) -> int:
@@ -224,8 +214,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.bouc_wen_kernels import respond_bouc_wen
 
-        if not np.isfinite(u_v).all():
-            refuse_not_finite(u_v)
+        refuse_not_finite(u_v)
         y, state = np.empty((self.n_outputs, u_v.shape[1])), start.copy()
         for first, stop in spans(u_v.shape[1], 64 * self.n_inputs * self.n_outputs):
             respond_bouc_wen(u_v, *self.bank, state.z_v, state.last_v, first, stop, y)
@@ -340,10 +329,6 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
             for output, row in zip(outputs, self.pairs, strict=True)
             for name, pair in zip(inputs, row, strict=True)
         ]
-
-    def file(self) -> BoucWenFile:
-        """Form in a model file."""
-        return BoucWenFile.model_validate(self)
 
 
 class BoucWenPairFile(PartFile):

@@ -269,16 +269,6 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         replace(self.plays, weight_covariance=self.weight_covariance)  # refuses a covariance of others
 
     @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        return self.plays.n_inputs
-
-    @property
-    def n_outputs(self) -> int:
-        """Number p of outputs."""
-        return self.plays.n_outputs
-
-    @property
     def operators(self) -> tuple[tuple[int, ...], ...]:
         """Number of plays of every pair (output, input)."""
         return self.plays.operators
@@ -320,8 +310,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return self.plays.after(self.inner(path_v))
 
     def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
-        if not np.isfinite(u_v).all():
-            refuse_not_finite(u_v)
+        refuse_not_finite(u_v)
         return self.plays.respond(self.inner(u_v), start)
 
     def slope_columns(self, k: int) -> Array:

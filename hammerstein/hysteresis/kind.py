@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -56,15 +57,15 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     wipes_out: ClassVar[bool] = False
     """Whether a way that turns and comes back leaves no trace, as with plays."""
 
-    @property
-    @abstractmethod
+    @cached_property
     def n_inputs(self) -> int:
         """Number m of inputs."""
+        return len(self.operators[0])
 
-    @property
-    @abstractmethod
+    @cached_property
     def n_outputs(self) -> int:
         """Number p of outputs."""
+        return len(self.operators)
 
     @property
     @abstractmethod
@@ -236,9 +237,9 @@ class Hysteresis(ByValue, ABC, Generic[S]):
             [own + c.factor_um_per_v @ generator.standard_normal(len(own)) for own, c in known]
         )
 
-    @abstractmethod
     def file(self) -> HysteresisFile:
-        """Form in a model file."""
+        """Form in a model file; that of its fields by their names, where a kind does not say otherwise."""
+        return HYSTERESIS.kinds[self.kind].model_validate(self)
 
     def to_iosys(self, sample_time_s: float, name: str = "hysteresis") -> BlockSystem:
         """Give the block as a discrete ``control.NonlinearIOSystem``, ``drive_v[k]`` to ``hysteresis_um[o]``.
@@ -311,6 +312,7 @@ def refuse_unbuilt(build: Callable[[], object]) -> None:
 
 
 def refuse_not_finite(u_v: Array) -> None:
-    """Raise SimulationError with the place of the first voltage (m, N) that is not finite."""
-    axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u_v)))
-    raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
+    """Raise SimulationError with the place of the first voltage (m, N) that is not finite, if one is not."""
+    if not np.isfinite(u_v).all():
+        axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u_v)))
+        raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")

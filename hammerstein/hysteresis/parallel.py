@@ -68,16 +68,6 @@ class Parallel(Hysteresis[ParallelState]):
             )
 
     @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        return self.parts[0].n_inputs
-
-    @property
-    def n_outputs(self) -> int:
-        """Number p of outputs."""
-        return self.parts[0].n_outputs
-
-    @property
     def operators(self) -> tuple[tuple[int, ...], ...]:
         """Number of weights of every pair (output, input), those of all parts."""
         counts = np.sum([np.array(part.operators) for part in self.parts], axis=0)

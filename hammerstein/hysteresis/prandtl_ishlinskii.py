@@ -100,16 +100,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             rows.append(tuple(_named_pair(r, w, l, k) for k, w in enumerate(row)))
         return cls(tuple(rows))
 
-    @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        return len(self.pairs[0])
-
-    @property
-    def n_outputs(self) -> int:
-        """Number p of outputs."""
-        return len(self.pairs)
-
     @cached_property
     def bank(self) -> Bank:
         """All operators on one threshold grid an input."""
@@ -265,10 +255,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
             rows.append(tuple(Pair(pair.thresholds_v, part) for pair, part in zip(row, parts, strict=True)))
         return PrandtlIshlinskii(tuple(rows))
-
-    def file(self) -> PrandtlIshlinskiiFile:
-        """Form in a model file."""
-        return PrandtlIshlinskiiFile.model_validate(self)
 
     def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
         """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.

@@ -196,16 +196,6 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         return []
 
     @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        return len(self.low_v)
-
-    @property
-    def n_outputs(self) -> int:
-        """Number p of outputs."""
-        return len(self.cells_um_per_v)
-
-    @property
     def operators(self) -> tuple[tuple[int, ...], ...]:
         """Number of cells of every pair (output, input)."""
         return tuple(tuple(len(c) * (len(c) + 1) // 2 for c in row) for row in self.cells_um_per_v)
@@ -252,8 +242,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         return self._counted(self.planes.after(path_v))
 
     def _respond(self, u_v: Array, start: PreisachState) -> tuple[Array, PreisachState]:
-        if not np.isfinite(u_v).all():
-            refuse_not_finite(u_v)
+        refuse_not_finite(u_v)
         return self.planes.run(u_v, start)
 
     def slope_columns(self, k: int) -> Array:

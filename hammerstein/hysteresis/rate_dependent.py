@@ -157,16 +157,6 @@ class RateDependent(Hysteresis[RateState], Identifiable):
             raise InputError("weights_um_per_v", "must have a row for each output")
 
     @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        return len(self.inputs)
-
-    @property
-    def n_outputs(self) -> int:
-        """Number p of outputs."""
-        return len(self.weights_um_per_v)
-
-    @property
     def operators(self) -> tuple[tuple[int, ...], ...]:
         """Number of plays of every pair (output, input)."""
         return tuple(tuple(len(w) for w in row) for row in self.weights_um_per_v)
@@ -242,8 +232,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         from hammerstein.compiled import spans
         from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
 
-        if not np.isfinite(u_v).all():
-            refuse_not_finite(u_v)
+        refuse_not_finite(u_v)
         bank, y = self.bank, np.empty((self.n_outputs, u_v.shape[1]))
         state = start.copy()
         plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
@@ -363,10 +352,6 @@ class RateDependent(Hysteresis[RateState], Identifiable):
             f"with a bandwidth of {plays.bandwidth_hz:.3g} Hz"
             for name, plays in zip(inputs, self.inputs, strict=True)
         ]
-
-    def file(self) -> RateDependentFile:
-        """Form in a model file; the sample time is that of who uses it."""
-        return RateDependentFile.model_validate(self)
 
 
 def _grown_alike(thresholds_v: Array, growth_s: float, bandwidth_hz: float) -> RatePlays:
