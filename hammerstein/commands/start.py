@@ -30,18 +30,14 @@ def init(
 
     It has records, a model, a scenario, its numbers, and the next steps.
     """
-    from hammerstein.commands.working_folder import folder_of, own_folder, refuse_started
+    from hammerstein.commands.working_folder import folder_of, own_folder
 
     there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
     if of is not None:
         folder_of(of, folder)
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
-    from hammerstein.commands.watch import Spinner
-
-    refuse_started(folder)
-    with Spinner() as spinner:
-        own_folder(folder, spinner.tell)
+    own_folder(folder)
     tell(f"the next steps are in {folder / 'README.md'}")
     tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")
 

@@ -273,7 +273,7 @@ def help_of(*command: str) -> Result:
     return CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "80"})
 
 
-LENGTHY = ("compare", "identify", "init")  # the lines of guide and fixtures are run, too
+LENGTHY = ("compare", "identify")  # the lines of guide and fixtures are run, too
 
 
 @pytest.mark.parametrize(

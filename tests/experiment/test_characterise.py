@@ -3,6 +3,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import theory
+from shipped.paper_actuators import with_thresholds
 
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Voltages
@@ -16,7 +17,6 @@ from hammerstein.identification.settings import CHOICES, Settings
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
-from hammerstein.paper.actuators import with_thresholds
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec
 from hammerstein.signals import Lissajous, Triangle
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 from pathlib import Path
 
 import matplotlib as mpl
@@ -10,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import hammerstein.examples
-from hammerstein.commands import working_folder
+from hammerstein.commands.working_folder import STARTER
 
 pytestmark = pytest.mark.full
 
@@ -21,9 +22,9 @@ WANTED = {"first_loop", "circle", "identify_csv", "in_python_control", "own_comp
 
 @pytest.fixture
 def made(tmp_path: Path) -> Path:
-    """A folder with the records that ``hammerstein init`` makes: all that an example reads."""
-    for axis in range(2):
-        working_folder._write_record(tmp_path, axis)
+    """A folder with the records that ``hammerstein init`` copies: all that an example reads."""
+    for axis in "xy":
+        shutil.copy(STARTER / f"record_{axis}.csv", tmp_path)
     return tmp_path
 
 

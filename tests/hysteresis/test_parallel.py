@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import theory
 from likeness import assert_alike
+from shipped.stacks import asymmetric_stack
 
-from hammerstein.actuators.stacks import asymmetric_stack
 from hammerstein.compensators import ExactInverse
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, Parallel, PrandtlIshlinskii, RateDependent

@@ -154,7 +154,7 @@ def test_compensated_sines_stay_within_half_a_percent_from_1_to_200_hz(hz):
 
 
 def test_the_recipe_is_the_packaged_file():
-    from hammerstein.actuators.stacks import rate_dependent_stack
+    from shipped.stacks import rate_dependent_stack
 
     assert_alike(rate_dependent_stack(stack().instruments), stack())
     assert isinstance(stack().dynamics, StaticDynamics)

@@ -3,12 +3,10 @@ import json
 import numpy as np
 import pytest
 
-from hammerstein.actuators import stacks
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.model import HammersteinModel, packaged_actuators
-from hammerstein.paper import actuators
+from hammerstein.model import HammersteinModel
 
 
 def _ragged():
@@ -116,19 +114,6 @@ def test_unwritable_place_leaves_nothing(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         _ragged().save(tmp_path / "file" / "model.json")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
-
-
-def test_packaged_actuators_are_what_their_command_makes(tmp_path):
-    static = HammersteinModel.load("duo_bimorph_static")
-    static.save(tmp_path / "duo_bimorph_static.json")
-    made = actuators.build(tmp_path) + stacks.build(tmp_path)
-    assert sorted([p.stem for p in made] + ["duo_bimorph_static"]) == packaged_actuators()
-    for path in made:
-        fresh, packaged = HammersteinModel.load(path), HammersteinModel.load(path.stem)
-        assert fresh.dynamics == packaged.dynamics
-        assert fresh.hysteresis.describe() == packaged.hysteresis.describe()
-        for weights, same in zip(fresh.hysteresis.weights, packaged.hysteresis.weights, strict=True):
-            np.testing.assert_allclose(weights, same, atol=1e-6)
 
 
 @pytest.mark.parametrize(

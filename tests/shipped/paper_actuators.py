@@ -1,4 +1,4 @@
-"""Build the packaged actuators of the paper from its table: ``python -m hammerstein.paper.actuators``.
+"""The packaged actuators of the paper, from its table.
 
 The paper prints a static block that was identified through the dynamics of the cantilever and the sensor.
 Here the block in front of the dynamics is found, so that the loop measured at 50 Hz and 10 V is the printed
@@ -17,14 +17,12 @@ partition cannot be the actuator itself; its slopes follow those of the first.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-import hammerstein.actuators
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import (
@@ -39,7 +37,7 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
 from hammerstein.model import HammersteinModel
 
-COMMAND = "python -m hammerstein.paper.actuators"
+COMMAND = "python -m tests.shipped"
 SOURCE = "paper, equations 12 and 13, static block found behind dynamics and sensor"
 DENSE = 28  # thresholds of the dense actuator, uniform in voltage
 LEAST_DAMPING = 0.12  # the least that keeps a 10 V sine up to 420 Hz within the sensor's range
@@ -219,9 +217,3 @@ def _dense(model: HammersteinModel) -> HammersteinModel:
             "command": COMMAND,
         },
     )
-
-
-if __name__ == "__main__":
-    (PACKAGED,) = map(Path, hammerstein.actuators.__path__)
-    for written in build(Path(sys.argv[1]) if len(sys.argv) > 1 else PACKAGED):
-        sys.stdout.write(f"{written}\n")

@@ -1,8 +1,7 @@
-"""Made-up stacks by recipe, asymmetric and rate-dependent: ``python -m hammerstein.actuators.stacks``."""
+"""Made-up stacks by recipe, asymmetric and rate-dependent."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +112,8 @@ def _made_up(
         outputs=("x", "y"),
         instruments=instruments,
         provenance={
-            "source": "made up by the recipe of hammerstein.actuators.stacks",
-            "command": "python -m hammerstein.actuators.stacks",
+            "source": "made up by the recipe of tests/shipped/stacks.py",
+            "command": "python -m tests.shipped",
         },
     )
 
@@ -126,8 +125,3 @@ def build(folder: Path) -> list[Path]:
     for stack in stacks:
         stack.save(folder / f"{stack.name}.json")
     return [folder / f"{stack.name}.json" for stack in stacks]
-
-
-if __name__ == "__main__":
-    for written in build(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent):
-        sys.stdout.write(f"{written}\n")

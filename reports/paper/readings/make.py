@@ -1,6 +1,6 @@
 """Which reading of the paper reproduces its claims: every claim on every reading, and a table of them.
 
-    python reports/paper/readings/make.py
+    python -m reports.paper.readings.make
 
 A reading says what "bandwidth between 400 and 500 Hz" means, how much damping the axes have, whether the
 sensor's 2 kHz take part in identification and judgement, how many passes the law makes in a sample, and
@@ -22,10 +22,10 @@ from pathlib import Path
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 from hammerstein.paper import Paper
-from hammerstein.paper.actuators import READINGS, actuator_of
 from hammerstein.paper.causes import adjusted, rows_needed
 from hammerstein.paper.claims import Claim
 from hammerstein.scenario import Scenario, load_scenario
+from tests.shipped.paper_actuators import READINGS, actuator_of
 
 os.environ["HAMMERSTEIN_CACHE"] = ""  # thousands of models, each wanted once
 HERE = Path(__file__).parent
@@ -167,7 +167,7 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
         f"the bandwidth and damping of {len(table) - exist} more. Made by",
         "",
         "```",
-        "python reports/paper/readings/make.py",
+        "python -m reports.paper.readings.make",
         "```",
         "",
         f"Most claims, {counted(table[order[0]])} of {total}, hold under {len(tied)} readings:",
