@@ -18,7 +18,7 @@ from hammerstein.commands.record_options import (
     Overwrite,
     RecordFiles,
 )
-from hammerstein.commands.terminal import complain, show, tell, tell_json
+from hammerstein.commands.terminal import show, tell, tell_json, tell_kept
 from hammerstein.commands.watch import Spinner
 
 if TYPE_CHECKING:
@@ -43,16 +43,13 @@ def compare(
 
     That is every kind of hysteresis, and linear models.
     """
-    from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.comparison.compare import compare as compared
-    from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
-    from hammerstein.runtime.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare_folder
 
     settings, loop = identified.settings(), in_loop.settings(identified.order)
     held.refuse_fitted(recorded.files)
-    refuse_unwritable("--out", out)
-    prepare(out, COMPARISON, ALWAYS, overwrite)
+    prepare_folder("--out", out, COMPARISON, ALWAYS, overwrite)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     samples = sum(record.samples for record in records)
@@ -63,8 +60,7 @@ def compare(
             spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)
 
         found = compared(records, settings, validation=validation, in_loop=loop, jobs=jobs, progress=watch)
-    for place in write_comparison(found, out, figures, overwrite):
-        complain(kept_aside(place))
+    tell_kept(write_comparison(found, out, figures, overwrite))
     if as_json:
         tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)
         return

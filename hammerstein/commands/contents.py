@@ -18,6 +18,7 @@ from hammerstein.records.readers import PARQUET, refuse_missing
 from hammerstein.validation import mistakes_of
 
 Facts = tuple[tuple[str, str], ...]
+Named = dict[str, Any]
 T = TypeVar("T", bound=BaseModel)
 MOST_COLUMNS = 40
 """Of a table, whose ranges are shown: a screen of them."""
@@ -36,29 +37,17 @@ class Contents:
     facts: Facts
 
 
-class _Named(BaseModel):
-    name: str
-
-
-class _Verdict(BaseModel):
-    verdict: str
-
-
-class _Asked(BaseModel):
-    question: str
-
-
 class _Report(BaseModel):
     name: str
     actuator: str
-    scenario: _Asked
-    rows: tuple[dict[str, Any], ...]
-    verdicts: tuple[_Verdict, ...] = ()
+    scenario: Named
+    rows: tuple[Named, ...]
+    verdicts: tuple[Named, ...] = ()
     statements: tuple[str, ...] = ()
 
 
 class _Baseline(BaseModel):
-    rows: tuple[dict[str, Any], ...]
+    rows: tuple[Named, ...]
 
 
 class _Fit(BaseModel):
@@ -69,7 +58,7 @@ class _Fit(BaseModel):
 
 
 class _Comparison(BaseModel):
-    models: tuple[_Named, ...]
+    models: tuple[Named, ...]
     records: tuple[str, ...]
     held_records: tuple[str, ...] = ()
     sentences: tuple[str, ...] = ()
@@ -187,11 +176,11 @@ def _model(path: Path) -> Iterator[tuple[str, str]]:
 
 def _report(found: _Report) -> Iterator[tuple[str, str]]:
     yield "name", found.name
-    yield "question", found.scenario.question
+    yield "question", str(found.scenario.get("question", ""))
     yield "actuator", found.actuator
     yield "rows", str(len(found.rows))
     if found.verdicts:
-        met = sum(verdict.verdict == "met" for verdict in found.verdicts)
+        met = sum(verdict.get("verdict") == "met" for verdict in found.verdicts)
         yield "verdicts", f"{met} of {len(found.verdicts)} claims met"
     for number, text in enumerate(found.statements[:MOST_STATEMENTS], start=1):
         yield f"statement {number}", text
@@ -205,7 +194,7 @@ def _fit(found: _Fit) -> Iterator[tuple[str, str]]:
 
 
 def _comparison(found: _Comparison) -> Iterator[tuple[str, str]]:
-    yield "models", ", ".join(one.name for one in found.models)
+    yield "models", ", ".join(str(one.get("name")) for one in found.models)
     yield "records", ", ".join(found.records)
     yield "validation records", ", ".join(found.held_records) or "none"
     yield "recommended", " ".join(found.sentences)

@@ -10,7 +10,7 @@ import typer
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, Sent
 from hammerstein.commands.record_options import Overwrite
-from hammerstein.commands.terminal import complain, tell, tell_json, tell_statements
+from hammerstein.commands.terminal import tell, tell_json, tell_kept, tell_statements
 
 FORMATS = ("c", "fmu")
 
@@ -87,21 +87,17 @@ def _write(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.errors import InputError
     from hammerstein.export.folder import ALWAYS, EXPORT, write_export
     from hammerstein.export.request import request_of
-    from hammerstein.files import refuse_unwritable
-    from hammerstein.runtime.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare_folder
 
     if out is None:
         raise InputError("--out", "name a folder for the code")
-    refuse_unwritable("--out", out)
-    prepare(out, EXPORT, ALWAYS, overwrite)
+    prepare_folder("--out", out, EXPORT, ALWAYS, overwrite)
     request, loaded = request_of(model, law, sample_time, **given)
     written = write_export(request, loaded, out, overwrite)
-    for place in written.kept:
-        complain(kept_aside(place))
+    tell_kept(written.kept)
     if as_json:
         tell_json({"export": str(out), "statements": written.statements, "files": written.files})
         return

@@ -39,13 +39,7 @@ class LawWords:
         if self.gain not in (None, "auto", "identity"):
             what = f"must be auto or identity, not {self.gain!r}; put a matrix into a scenario"
             raise InputError("--gain", what)
-        asked = {
-            "filter_hz": self.filter_hz,
-            "preview_s": self.preview_s,
-            "softening_v": self.softening_v,
-            "gain": self.gain,
-        }
-        known = {name: value for name, value in asked.items() if value is not None}
+        known = {name: value for name, value in vars(self).items() if value is not None and name != "option"}
         own = [words.partition("=") for words in self.option or ()]
         for i, (name, sign, _) in enumerate(own):
             if not sign or not name.isidentifier():

@@ -22,7 +22,7 @@ from hammerstein.commands.record_options import (
     StaticBlock,
 )
 from hammerstein.commands.refusals import refuse_output, told_by_options, write_output
-from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_statements
+from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.commands.watch import Spinner
 
 if TYPE_CHECKING:
@@ -70,18 +70,16 @@ def loops(
     """
     from hammerstein.commands.terminal_tables import gains_table
     from hammerstein.errors import InputError
-    from hammerstein.files import refuse_unwritable
     from hammerstein.records.loops import loop_table, move_at_once, turned_backwards, without_loops
     from hammerstein.records.swapped_columns import refuse_swapped
     from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.runtime.storage.manifest import refuse_name
-    from hammerstein.runtime.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare_folder
 
     folder = out / folder_name(recorded.files)
     if figures:
-        refuse_unwritable("--out", out)
         refuse_name(recorded.files[0])
-        prepare(folder, LOOPS, LOOPS_FILES, overwrite)
+        prepare_folder("--out", folder, LOOPS, LOOPS_FILES, overwrite)
     records = recorded.read(all_driven=False)
     if not accept_order:
         refuse_swapped(records)
@@ -151,10 +149,9 @@ def identify(
 
     The report has the limits of the model, too.
     """
-    from hammerstein.commands.terminal_tables import fit_table, kept_aside
-    from hammerstein.files import refuse_unwritable
+    from hammerstein.commands.terminal_tables import fit_table
     from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, answer, fit_json, write_fit
-    from hammerstein.runtime.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare_folder
 
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
@@ -162,16 +159,14 @@ def identify(
         hysteresis=static.hysteresis, dead_zones=static.dead_zones
     )
     folder = report or out.parent / f"{out.stem}_fit"
-    refuse_unwritable("--report", folder)
-    prepare(folder, FIT, ALWAYS, overwrite)
+    prepare_folder("--report", folder, FIT, ALWAYS, overwrite)
     groups = (recorded, identified, static, in_loop)
     words = [*(word for group in groups for word in words_of(group)), "--out", str(out)]
     asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     model, fit = _identified(records, settings, validation, out)
-    for place in write_fit(model, fit, out, folder, figures, overwrite, asked):
-        complain(kept_aside(place))
+    tell_kept(write_fit(model, fit, out, folder, figures, overwrite, asked))
     if in_loop.hysteresis_in_loop:
         search_file(out).unlink(missing_ok=True)
     if as_json:

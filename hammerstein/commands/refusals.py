@@ -34,12 +34,10 @@ def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) 
 
 def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bool) -> None:
     """Write one file; say where the one went that a person had changed."""
-    from hammerstein.commands.terminal import complain
-    from hammerstein.commands.terminal_tables import kept_aside
+    from hammerstein.commands.terminal import tell_kept
     from hammerstein.runtime.storage.staging import write_file
 
-    for place in write_file(out, content, owner, overwrite):
-        complain(kept_aside(place))
+    tell_kept(write_file(out, content, owner, overwrite))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
 from hammerstein.commands.record_options import AsJson, Overwrite
-from hammerstein.commands.terminal import complain, show, tell, tell_json
+from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_kept
 from hammerstein.commands.watch import Watch
 from hammerstein.runtime.resources import folder_of_runs
 
@@ -140,7 +140,6 @@ def _show_plan(paths: Sequence[Path], jobs: int) -> None:
 
 def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwrite: bool) -> list[Report]:
     """Write the pages over several reports: assessments and the overview."""
-    from hammerstein.commands.terminal_tables import kept_aside
     from hammerstein.reporting.overview import write_overview
 
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
@@ -153,8 +152,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwr
         for kind in kinds:
             kept += kind.write(reports, out, page, overwrite)
     kept += write_overview(reports, out, overwrite) if len(reports) > 1 else ()
-    for place in kept:
-        complain(kept_aside(place))
+    tell_kept(kept)
     return reports
 
 
@@ -316,6 +314,16 @@ def check(
     raise typer.Exit(result.exit_code)
 
 
+def one_scenario(path: Path) -> tuple[str, Scenario]:
+    """Name and scenario of a file; InputError for a folder."""
+    from hammerstein.errors import InputError
+    from hammerstein.experiment.batch import load_all
+
+    if path.is_dir():
+        raise InputError(str(path), "is a folder; give one scenario file")
+    return load_all([path]).popitem()
+
+
 def plot(
     path: Annotated[Path, typer.Argument(help="Scenario file.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures.")] = Path("reports"),
@@ -324,20 +332,14 @@ def plot(
     overwrite: Overwrite = False,
 ) -> None:
     """Draw the figures of one scenario."""
-    from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.run import run as run_scenario
-    from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.figures import write_figures
     from hammerstein.reporting.figures.write import FIGURES
-    from hammerstein.runtime.storage.staging import prepare
+    from hammerstein.runtime.storage.staging import prepare_folder
 
-    if path.is_dir():
-        raise InputError(str(path), "is a folder; give one scenario file")
-    refuse_unwritable("--out", out)
-    ((name, scenario),) = load_all([path]).items()
+    name, scenario = one_scenario(path)
     _planned({name: scenario}, jobs, yes)
-    prepare(out / name, FIGURES, (), overwrite)
+    prepare_folder("--out", out / name, FIGURES, (), overwrite)
     with Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
     for figure in write_figures(report, out / name, overwrite):

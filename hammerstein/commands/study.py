@@ -16,6 +16,7 @@ import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
 from hammerstein.commands.record_options import Overwrite
+from hammerstein.commands.scenarios import one_scenario
 from hammerstein.commands.terminal import complain, tell
 from hammerstein.commands.watch import Watch
 
@@ -52,7 +53,7 @@ def sweep(
     from hammerstein.runtime.parallel_tasks import workers_of
 
     table_file = _place_of(out, overwrite, dry_run)
-    scenario = _scenario_of(path)
+    _, scenario = one_scenario(path)
     study = study_of(scenario, str(path))
     if table_file is None:
         complain(_announced(scenario, path, jobs)[0])
@@ -89,16 +90,6 @@ def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
         raise InputError("--out", "is missing; give a file for the rows, .csv or .parquet")
     prepare_file("--out", out, SWEEP, overwrite)
     return out
-
-
-def _scenario_of(path: Path) -> Scenario:
-    from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all
-
-    if path.is_dir():
-        raise InputError(str(path), "is a folder; give one scenario file")
-    ((_, scenario),) = load_all([path]).items()
-    return scenario
 
 
 def _announced(scenario: Scenario, path: Path, jobs: int) -> tuple[str, float]:

@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from hammerstein.errors import HammersteinError, tell_notices
@@ -76,6 +77,12 @@ def complain(text: str) -> None:
     """Print on stderr; where that cannot be written, nobody can be told."""
     with contextlib.suppress(OSError):
         print(clean(text), file=sys.stderr, flush=True)
+
+
+def tell_kept(places: Iterable[Path]) -> None:
+    """Say which files that a person had changed have another name now."""
+    for place in places:
+        complain(f"{place} is a result that you edited; a copy was kept")
 
 
 def show(table: Table) -> None:

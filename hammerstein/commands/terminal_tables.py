@@ -237,8 +237,3 @@ def played_table(found: Played) -> Table:
         for name, (low, high) in found.summary()[spans].items():
             table.add_row(f"{word} [{unit}]", name, "", f"{low:.5g}", f"{high:.5g}")
     return table
-
-
-def kept_aside(place: Path) -> str:
-    """Say that a file which a person had changed has another name now."""
-    return f"{place} is a result that you edited; a copy was kept"

@@ -244,6 +244,17 @@ def prepare(
         raise InputError(str(folder), f"cannot be read ({reason_of(error)})") from None
 
 
+def prepare_folder(
+    option: str, folder: Path, owner: Owner, names: Sequence[str], overwrite: bool = False
+) -> None:
+    """Raise InputError, before the work, for a folder that could not be written; as ``prepare`` otherwise.
+
+    option : option with the folder, such as ``--out``
+    """
+    refuse_unwritable(option, folder)
+    prepare(folder, owner, names, overwrite)
+
+
 def prepare_file(option: str, path: Path, owner: Owner, overwrite: bool = False) -> None:
     """Raise InputError, before the work, for a file that ``write_file`` could not write.
 
