@@ -86,29 +86,25 @@ class Paper(Assessment):
         self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None
     ) -> tuple[ClaimJudgement, ...]:
         """Judge every claim on every actuator, with the cause where the scenario's own does not agree."""
-        from hammerstein.paper.causes import changes_of, rows_needed
+        from hammerstein.paper.causes import Repeats, changes_of, rows_needed
 
-        known = {model.name: [rows, *self._repeated(scenario, name, model, store)]}
+        repeats = Repeats(self.seeds, self.finer)
+
+        def repeated(model: HammersteinModel) -> Iterator[Sequence[Row]]:
+            for repeat in repeats.of(scenario, model) if self.claims else ():
+                try:
+                    yield rows_needed(repeat, self.claims, name, model, store)
+                except HammersteinError:  # the law cannot run so
+                    yield ()
+
+        known = {model.name: [rows, *repeated(model)]}
         for other in self.also_on if self.claims else ():
             found = HammersteinModel.load(other.actuator)
             first = rows_needed(scenario, self.claims, name, found, store)
-            known[found.name] = [first, *self._repeated(scenario, name, found, store)]
-        return judgements(self.claims, known, lambda claim: tuple(changes_of(scenario, model, claim, store)))
-
-    def _repeated(
-        self, scenario: Scenario, name: str, model: HammersteinModel, store: Store | None
-    ) -> Iterator[Sequence[Row]]:
-        """Rows with other seeds, and with finer sample times; none where the law cannot run so."""
-        from hammerstein.paper.causes import finer, rows_needed
-
-        seeds = (scenario.seed + k for k in range(1, self.seeds))
-        changed = [scenario.model_copy(update={"seed": seed}) for seed in seeds]
-        changed += [finer(scenario, model, parts) for parts in self.finer]
-        for repeat in changed if self.claims else ():
-            try:
-                yield rows_needed(repeat, self.claims, name, model, store)
-            except HammersteinError:
-                yield ()
+            known[found.name] = [first, *repeated(found)]
+        return judgements(
+            self.claims, known, lambda claim: tuple(changes_of(scenario, model, claim, repeats, store))
+        )
 
     def judgement_of(self, content: Mapping[str, Any]) -> ClaimJudgement:
         """A judgement from the fields that were kept of it."""

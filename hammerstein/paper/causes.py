@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -50,20 +50,50 @@ class Variation:
 Effect = Callable[[Scenario, HammersteinModel, Claim], Variation | None]
 
 
+@dataclass(frozen=True)
+class Repeats:
+    """Repeats of a run, all of which a verdict must agree with.
+
+    seeds : how many seeds of noise, that of the run itself included; finer : divisors of its sample time
+    """
+
+    seeds: int = 1
+    finer: tuple[int, ...] = ()
+
+    def of(self, scenario: Scenario, model: HammersteinModel) -> Iterator[Scenario]:
+        """The scenario with each of the other seeds, then with each of the finer sample times."""
+        for seed in range(scenario.seed + 1, scenario.seed + self.seeds):
+            yield scenario.model_copy(update={"seed": seed})
+        for parts in self.finer:
+            yield finer(scenario, model, parts)
+
+
 def changes_of(
-    scenario: Scenario, model: HammersteinModel, claim: Claim, store: Store | None = None
+    scenario: Scenario, model: HammersteinModel, claim: Claim, repeats: Repeats, store: Store | None = None
 ) -> Iterator[Change]:
     """What the figure of a claim becomes with each factor changed alone; NaN where it cannot be simulated.
 
-    Where no single factor brings agreement, every pair is tried, too.
+    A change that brings agreement is repeated, to tell whether it always does. Where no single factor brings
+    agreement, every pair is tried, too.
     """
     own, enough = _of_claim(scenario, claim), False
     for variation in variations(own, model, claim):
-        value = _value(variation, claim, store)
-        enough |= claim.agreement.holds(value, claim.paper)
-        yield Change(variation.factor, variation.words, value)
+        change = _change(variation, claim, repeats, store)
+        enough |= change.agrees
+        yield change
     for variation in () if enough else pairs(own, model, claim):
-        yield Change(variation.factor, variation.words, _value(variation, claim, store))
+        yield _change(variation, claim, repeats, store)
+
+
+def _change(variation: Variation, claim: Claim, repeats: Repeats, store: Store | None) -> Change:
+    """What a variation makes of a claim; where its sample time is changed, only seeds are repeated."""
+    first = _value(variation.scenario, variation.model, claim, store)
+    again: Iterable[Scenario] = ()
+    if claim.agreement.holds(first, claim.paper):
+        kept = replace(repeats, finer=()) if "sample_time" in variation.factors else repeats
+        again = kept.of(variation.scenario, variation.model)
+    values = [first, *(_value(repeat, variation.model, claim, store) for repeat in again)]
+    return Change.of(variation.factor, variation.words, claim, values)
 
 
 def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
@@ -164,9 +194,9 @@ def rows_needed(
     return [row for result in kept.results(cases) for row in result.rows]
 
 
-def _value(variation: Variation, claim: Claim, store: Store | None) -> float:
+def _value(scenario: Scenario, model: HammersteinModel, claim: Claim, store: Store | None) -> float:
     try:
-        return claim.value(rows_needed(variation.scenario, [claim], claim.id, variation.model, store))
+        return claim.value(rows_needed(scenario, [claim], claim.id, model, store))
     except HammersteinError:
         return math.nan
 

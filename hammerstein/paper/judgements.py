@@ -20,7 +20,6 @@ CAUSES: dict[FactorName, str] = {
     "identification_amplitude": "the amplitude of identification",
     "identification_frequency": "the frequency of identification",
 }
-CLOSE = 0.02  # part of a figure between its ends, up to which a third digit holds well enough to be shown
 WANDERS = 1.5  # a ratio whose ends differ by more has a divisor near the noise
 
 
@@ -43,7 +42,11 @@ class Simulated:
     @classmethod
     def of(cls, actuator: str, claim: Claim, runs: Sequence[Sequence[Row]]) -> Simulated:
         """Judge a claim by the rows of all runs on an actuator; the first is the run itself."""
-        values = [claim.value(rows) for rows in runs]
+        return cls.told(actuator, claim, [claim.value(rows) for rows in runs])
+
+    @classmethod
+    def told(cls, actuator: str, claim: Claim, values: Sequence[float]) -> Simulated:
+        """Judge a claim by its figure in every run; the first is of the run itself."""
         verdicts = {None if math.isnan(v) else claim.agreement.holds(v, claim.paper) for v in values}
         known = [value for value in values if math.isfinite(value)] or [math.nan]
         low, high = min(known), max(known)
@@ -70,12 +73,20 @@ def _shown(claim: Claim, low: float, high: float, runs: int) -> str:
         return "beyond the sweep"
     if runs == 1:
         return f"{low:.3g}"
-    digits = 3 if high - low < CLOSE * abs(high) else 2
-    ends = tuple(f"{float(f'{end:.{digits}g}'):g}" for end in (low, high))
-    if ends[0] == ends[1]:
-        return ends[0]
     wanders = high > WANDERS * low > 0.0 and claim.over is not None and claim.agreement.at_most is None
-    return f"more than {_floor(low)}" if wanders else " to ".join(ends)
+    return f"more than {_floor(low)}" if wanders else _ends(low, high)
+
+
+def _ends(low: float, high: float) -> str:
+    """Both ends of a range with two digits, or with three where the range is less than the second digit.
+
+    >>> _ends(1.41, 1.52), _ends(19.43, 20.10), _ends(116.44, 116.47)
+    ('1.4 to 1.5', '19.4 to 20.1', '116')
+    """
+    largest = max(abs(low), abs(high))
+    second = 10.0 ** (math.floor(math.log10(largest)) - 1) if largest > 0.0 else 0.0
+    digits = 2 if high - low >= second else 3
+    return " to ".join(dict.fromkeys(f"{float(f'{end:.{digits}g}'):g}" for end in (low, high)))
 
 
 def _floor(value: float) -> str:
@@ -92,12 +103,26 @@ def _floor(value: float) -> str:
 class Change:
     """Figure of a claim after a change of only one or two factors of the chain.
 
-    factor : names; words : description, such as ``with an ideal sensor``; value : new figure
+    factor : names; words : description, such as ``with an ideal sensor``
+    value : new figure; shown : the figure with the digits that hold
+    agrees : whether the claim is met then, with every seed and sample time
     """
 
     factor: str
     words: str
     value: float
+    shown: str
+    agrees: bool
+
+    @classmethod
+    def of(cls, factor: str, words: str, claim: Claim, values: Sequence[float]) -> Change:
+        """Judge a change by its figure in every run.
+
+        A single run is enough to say that it does not bring agreement; two of its digits are shown.
+        """
+        found = Simulated.told("", claim, values)
+        shown = found.shown if len(values) > 1 else f"{values[0]:.2g}"
+        return cls(factor, words, values[0], shown, found.agrees is True)
 
     @property
     def cause(self) -> str:
@@ -126,9 +151,11 @@ class ClaimJudgement(Judgement):
     quote: str = ""
 
     @property
-    def ratio(self) -> float | None:
-        """Simulated over paper, for the scenario's own actuator."""
-        return self.simulated[0].value / self.paper if self.paper else None
+    def ratio(self) -> str:
+        """Simulated over paper with the digits that hold, for the scenario's own actuator; empty without."""
+        own = self.simulated[0]
+        known = self.paper and math.isfinite(own.low)
+        return _ends(*sorted((own.low / self.paper, own.high / self.paper))) if self.paper and known else ""
 
     @property
     def word(self) -> str:
@@ -157,7 +184,7 @@ class ClaimJudgement(Judgement):
             "reason": self.reason,
             "paper": self.printed,
             "simulated": own.text(),
-            "ratio": "" if self.ratio is None else f"{self.ratio:.2f}",
+            "ratio": self.ratio,
             "wanted": self.wanted,
             "judgement": self.word,
             "details": _sentences([self.details, *more]),
@@ -207,7 +234,7 @@ def _judged(
     own = simulated[0]
     unmet = own.agrees is False
     changes = tuple(changes_of(claim)) if unmet and not claim.calibrated else ()
-    cause, reason = _cause(claim, changes) if unmet else ("", _open(own))
+    cause, reason = _cause(changes) if unmet else ("", _open(own))
     details = [_cut(claim, rows), _listed(changes), claim.note if own.agrees is not True else ""]
     return ClaimJudgement(
         claim.id,
@@ -247,22 +274,20 @@ def _cut(claim: Claim, rows: Sequence[Row]) -> str:
 
 def _listed(changes: Sequence[Change]) -> str:
     """What every change gives."""
-    return "; ".join(
-        f"{change.words} {change.value:.3g}" for change in changes if math.isfinite(change.value)
-    )
+    return "; ".join(f"{change.words} {change.shown}" for change in changes if math.isfinite(change.value))
 
 
-def _cause(claim: Claim, changes: Sequence[Change]) -> tuple[str, str]:
+def _cause(changes: Sequence[Change]) -> tuple[str, str]:
     """The change that alone brings agreement, and a sentence of at most fifteen words about it.
 
     A single factor goes before pairs. Of several that suffice none is the cause.
     """
-    enough = [c for c in changes if claim.agreement.holds(c.value, claim.paper)]
+    enough = [c for c in changes if c.agrees]
     singles = [c for c in enough if " + " not in c.factor]
     found = singles or enough
     if len(found) == 1:
         cause = found[0].cause
-        return cause, f"{cause[0].upper()}{cause[1:]}: {found[0].value:.3g} {found[0].words}."
+        return cause, f"{cause[0].upper()}{cause[1:]}: {found[0].shown} {found[0].words}."
     what = "change" if singles else "pair of changes"
     if found:
         return "", f"Not unique: more than one {what} brings agreement."

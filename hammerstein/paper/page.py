@@ -48,7 +48,7 @@ def claims_csv(reports: Sequence[Report]) -> str:
             "lowest": one.low,
             "highest": one.high,
             "verdict": one.word,
-            "reason": judgement.reason,
+            "reason": judgement.reason if one is judgement.simulated[0] else "",
         }
         for report in reports
         for judgement in claimed(report)
@@ -121,10 +121,19 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         places={report.name: printed_at(report) for report in reports},
         readings=readings_of(reports),
         tables=[_table(group, actuators) for group in (counted, [j for j in judgements if j.calibrated])],
-        quoted=[judgement for judgement in judgements if judgement.quote],
+        quoted=_quoted(judgements),
         unmet=[j for j in counted if not j.agrees],
         total=len(counted),
     )
+
+
+def _quoted(judgements: Sequence[ClaimJudgement]) -> dict[str, list[str]]:
+    """Sentences of the paper, each with the claims that it makes."""
+    found: dict[str, list[str]] = {}
+    for judgement in judgements:
+        if judgement.quote:
+            found.setdefault(judgement.quote, []).append(judgement.id)
+    return found
 
 
 def readings_of(reports: Sequence[Report]) -> list[Met]:
@@ -163,7 +172,7 @@ def _reading(actuator: str) -> str:
     if actuator not in packaged_actuators():
         return ""
     told = HammersteinModel.load(actuator).provenance
-    return str(told.get("bandwidth", "")) if isinstance(told, dict) else ""
+    return str(told.get("bandwidth", told.get("source", ""))) if isinstance(told, dict) else ""
 
 
 def _table(judgements: Sequence[ClaimJudgement], actuators: Sequence[str]) -> list[tuple[str, ...]]:

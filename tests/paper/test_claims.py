@@ -1,3 +1,4 @@
+import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +13,10 @@ from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper import Paper
-from hammerstein.paper.causes import variations
+from hammerstein.paper.causes import Repeats, changes_of, variations
 from hammerstein.paper.claims import Agreement, Claim, Quantity
 from hammerstein.paper.judgements import Change, judgements
-from hammerstein.paper.page import write_page
+from hammerstein.paper.page import claims_csv, write_page
 from hammerstein.scenario import Scenario, load_scenario
 
 SCENARIOS = sorted((Path(__file__).parents[2] / "scenarios").glob("*.toml"))
@@ -101,10 +102,6 @@ def test_agreement(agreement, value, paper, holds):
     assert Agreement(**agreement).holds(value, paper) is holds
 
 
-def _changed(*changes):
-    return lambda claim: [Change(*change) for change in changes]
-
-
 def test_what_ends_with_the_sweep_is_no_verdict():
     quantity = {"metric": "rms_um", "of": "octaves_above", "found_hz": 50, "times": 1e3}
     claim = _claim({"at_least": 0.5}, quantity=quantity)
@@ -126,6 +123,9 @@ def test_what_ends_with_the_sweep_is_no_verdict():
         ((1.9, 2.1, 1.9), "undecided", "1.9 to 2.1"),
         ((1.91, 1.912, 1.909), "met", "1.91"),
         ((1.93, 1.936, 1.931), "met", "1.93 to 1.94"),
+        ((1.743, 1.796, 1.75), "met", "1.74 to 1.8"),
+        ((116.44, 116.47, 116.45), "not met", "116"),
+        ((116.2, 118.4, 117.0), "not met", "116 to 118"),
     ],
 )
 def test_a_claim_is_judged_where_all_seeds_and_sample_times_agree(values, word, shown):
@@ -144,7 +144,7 @@ def test_a_ratio_to_noise_is_more_than_its_lower_end():
 
 
 def _changed(*changes):
-    return lambda claim: [Change(*change) for change in changes]
+    return lambda claim: [Change.of(factor, words, claim, values) for factor, words, *values in changes]
 
 
 def _told(*changes, agreement=None):
@@ -164,6 +164,26 @@ def test_the_cause_is_the_only_change_that_brings_agreement():
     assert (none.cause, none.reason) == ("", "No change of one or two factors brings agreement.")
 
 
+def test_a_cause_brings_agreement_with_every_seed_and_sample_time():
+    sometimes = ("passes", "with 16 passes", 1.1, 2.5, 1.4)
+    one = _told(sometimes, ("dynamics", "without dynamics", 1.5, 1.61))
+    assert (one.cause, one.reason) == ("the dynamics", "The dynamics: 1.5 to 1.6 without dynamics.")
+    assert one.details == "With 16 passes 1.1 to 2.5; without dynamics 1.5 to 1.6"
+    assert _told(sometimes).reason == "No change of one or two factors brings agreement."
+
+
+def test_a_change_that_brings_agreement_is_repeated_as_the_run_itself():
+    scenario = load_scenario(SCENARIOS[0].with_name("circles.toml"))
+    model = HammersteinModel.load(scenario.actuator)
+    asked = scenario.assessment.claims[0].model_copy(update={"factors": ("sensor", "sample_time")})
+    told = {c.factor: c for c in changes_of(scenario, model, asked, Repeats(seeds=2, finer=(2,)))}
+    assert all(" to " not in change.shown for change in told.values())  # none brings agreement
+    easy = asked.model_copy(update={"agreement": Agreement(at_least=0.1)})
+    told = {c.factor: c for c in changes_of(scenario, model, easy, Repeats(seeds=2, finer=(2,)))}
+    assert all(change.agrees for change in told.values())
+    assert " to " in told["sensor"].shown  # T/2 is not T, though a sensor without noise has no seed
+
+
 def test_a_pair_is_the_cause_where_no_single_factor_is():
     pair = ("sensor + dynamics", "with an ideal sensor and without dynamics", 1.0)
     found = _told(("sensor", "ideal", 4.0), ("dynamics", "without dynamics", 3.0), pair)
@@ -180,8 +200,14 @@ def test_the_first_actuator_judges():
     (judgement,) = judgements([claim], {"own": [ROWS], "other": [(_row(2.0, 200),)]})
     assert [one.agrees for one in judgement.simulated] == [False, True]
     assert not judgement.agrees
-    assert judgement.ratio == 2.0
+    assert judgement.ratio == "2"
     assert judgement.word == "not met"
+
+
+def test_the_ratio_has_the_digits_of_the_figure():
+    claim = _claim({"at_most": 4.0}, paper=2.0, quote="two")
+    (judgement,) = judgements([claim], {"own": [(_row(v, 200),) for v in (3.1, 2.9, 3.6)]})
+    assert judgement.cells()["ratio"] == judgement.ratio == "1.4 to 1.8"
 
 
 def test_cut_voltages_are_told_beside_the_claim():
@@ -310,21 +336,25 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
             "also_on": [{"actuator": "duo_bimorph_paper"}],
         },
     }
-    write_page([run(content, "one")], tmp_path, tmp_path / "page")
+    report = run(content, "one")
+    write_page([report], tmp_path, tmp_path / "page")
     text = (tmp_path / "page" / "README.md").read_text()
     assert text.index("## Beyond the paper") < text.index("## Claims")  # claims come after the figures
-    assert "| 1 of 2 met, 0 undecided |  | `duo_bimorph_static` |" in text
+    assert "| 1 of 2 met, 0 undecided | paper, equations 12 and 13 | `duo_bimorph_static` |" in text
     assert "* **C2**, not met. No change of one or two factors brings agreement." in text
     counted, apart = text.split("The actuators were made from these loops")
     assert "| C3 |" in apart
     assert "| C3 |" not in counted
     assert ", no |" in counted
+    table = {(row["id"], row["actuator"]): row for row in csv.DictReader(claims_csv([report]).splitlines())}
+    assert table["C2", "duo_bimorph_static"]["reason"]
+    assert not table["C2", "duo_bimorph_paper"]["reason"]  # found on the other actuator
 
 
 def test_every_figure_of_the_paper_quotes_its_sentence_and_every_column_runs_the_same_law():
     claims = [c for a in ASSESSMENTS for c in a.claims]
     assert len(claims) > 35
-    assert all(claim.quote for claim in claims if claim.paper is not None)
+    assert all(claim.quote for claim in claims)
     assert {name for a in ASSESSMENTS for other in a.also_on for name in other.model_fields_set} == {
         "actuator"
     }

@@ -11,6 +11,7 @@ beside this file.
 from __future__ import annotations
 
 import csv
+import functools
 import itertools
 import os
 import sys
@@ -66,6 +67,7 @@ class Reading:
         return f"{plant}, {sensor}, {passes}, identified at {volts}"
 
 
+@functools.cache
 def scenarios() -> tuple[Scenario, ...]:
     """The scenarios of the paper's figures."""
     return tuple(load_scenario(SCENARIOS / f"{name}.toml") for name in NAMES)
@@ -164,7 +166,10 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
         "# Readings of the paper",
         "",
         f"{exist} readings of the plant were simulated for every claim of Figs. 5 to 13; no plant has "
-        f"the bandwidth and damping of {len(table) - exist} more. Made by",
+        f"the bandwidth and damping of {len(table) - exist} more. Each was simulated once, with one seed "
+        "and one sample time. The claims of the packaged actuators are judged with several: two to seven "
+        "verdicts of each depend on them ([page](../README.md)). So the counts show which readings come near,"
+        " not which is best. Made by",
         "",
         "```",
         "python -m reports.paper.readings.make",
