@@ -35,6 +35,15 @@ def freeze(*arrays: NDArray[Any]) -> None:
         array.flags.writeable = False
 
 
+def rows_of(signals: ArrayLike) -> Array:
+    """Signals (axis, sample) as compiled loops take them: contiguous, and copied where they are read-only.
+
+    For read-only arrays numba would compile each loop once more.
+    """
+    rows = np.ascontiguousarray(np.atleast_2d(np.asarray(signals, dtype=np.float64)))
+    return rows if rows.flags.writeable else rows.copy()
+
+
 def times(matrix: Array, signals: Array) -> Array:
     """Product of a matrix (q, h) and signals (h,) or (h, sample), each sample to the same last bit alone."""
     return np.asarray((matrix.reshape(*matrix.shape, *[1] * (signals.ndim - 1)) * signals).sum(axis=1))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, rows_of
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.errors import InputError, SimulationError
 
@@ -277,7 +277,7 @@ class Learner(Designed):
 
 def checked_reference(reference_um: ArrayLike, n_outputs: int) -> Array:
     """Reference as a contiguous (output, sample) array; InputError names axis and sample of a bad value."""
-    reference = np.ascontiguousarray(np.atleast_2d(np.asarray(reference_um, dtype=np.float64)))
+    reference = rows_of(reference_um)
     if reference.shape[0] != n_outputs or reference.ndim != 2:
         raise InputError("reference", f"has shape {reference.shape}; it must be ({n_outputs}, samples)")
     if not np.isfinite(reference).all():

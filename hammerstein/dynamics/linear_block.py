@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields
+from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError
 
@@ -79,7 +79,7 @@ class SteppedBlock(ABC):
                 f"its sample time is {sample_time_s:g} s, but the block was discretised for "
                 f"{self.sample_time_s:g} s; resample one of them",
             )
-        v = np.ascontiguousarray(np.atleast_2d(np.asarray(v_um, dtype=np.float64)))
+        v = rows_of(v_um)
         if v.shape[0] != self.n_inputs:
             raise InputError("signal", f"has {v.shape[0]} axes; the block needs {self.n_inputs}")
         x = self.rest() if start is None else np.array(start, dtype=np.float64)

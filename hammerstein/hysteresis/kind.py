@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ConfigDict, model_validator
 
-from hammerstein.arrays import Array, ByValue
+from hammerstein.arrays import Array, ByValue, rows_of
 from hammerstein.blocks import Memory
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError, SimulationError
@@ -138,7 +138,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         InputError : wrong number of inputs
         SimulationError : a voltage that is not finite
         """
-        u = np.ascontiguousarray(np.atleast_2d(np.asarray(u_v, dtype=np.float64)))
+        u = rows_of(u_v)
         if u.ndim != 2 or u.shape[0] != self.n_inputs:
             raise InputError("voltage", f"has shape {u.shape}; it must be ({self.n_inputs}, samples)")
         return self._respond(u, self.rest() if start is None else start)

@@ -110,6 +110,30 @@ MOST_LOOPS = 8
 """Of about forty."""
 
 
+ONCE = """
+import numpy as np
+from hammerstein.compensators.attempt import compensator_of
+from hammerstein.compensators.exact.inverse_kernel import respond_exact
+from hammerstein.hysteresis.play_kernels import respond_turning_points
+from hammerstein.model import HammersteinModel
+model, path = HammersteinModel.load("duo_bimorph"), np.zeros((2, 20))
+kept = path.copy()
+kept.flags.writeable = False
+for name in ("exact_inverse", "hammerstein_inverse", "decoupled_inverse"):
+    law = compensator_of(name, {}).design(model, 10.0, 50e-6)
+    for signal in (path, kept):
+        law.respond(signal)
+        model.hysteresis.respond(signal)
+    law.step(path[:, 0], law.rest())
+print(len(respond_exact.signatures), len(respond_turning_points.signatures))
+"""
+
+
+def test_a_loop_is_compiled_once_for_signals_steps_and_arrays_that_nobody_may_write_to():
+    found = subprocess.run([sys.executable, "-c", ONCE], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["1", "1"]
+
+
 @pytest.mark.parametrize(
     ("scenario", "most"), [(SCENARIO, MOST_LOOPS), pytest.param(LAWS, 25, marks=pytest.mark.long)]
 )

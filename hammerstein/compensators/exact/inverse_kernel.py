@@ -42,7 +42,7 @@ from hammerstein.compensators.exact.piece_kernels import (
     push,
 )
 from hammerstein.compensators.kernels import from_rest, to_sent
-from hammerstein.compiled import compiled, helper
+from hammerstein.compiled import compiled, helper, one_sample
 from hammerstein.hysteresis.play_kernels import at
 
 GONE = 1e-12
@@ -92,7 +92,8 @@ def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-unt
     none, away = np.empty((0, 0)), np.empty(0)
     sound = from_rest(sample, frame, reference)
     if sound:
-        respond_exact(reference, m - p, none, np.empty((0, p)), np.empty((p, 0)), away, w, here, 0, 1, drive)
+        into, gain = np.empty((0, p)), np.empty((p, 0))
+        respond_exact(reference, m - p, none, into, gain, away, w, here, *one_sample(), drive)
         sound = to_sent(drive, frame, sent)
     after, held = np.empty(stack.shape), np.empty(hand.shape)
     unloaded(w, here, after, held)
