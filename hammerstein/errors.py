@@ -10,10 +10,13 @@ from __future__ import annotations
 import contextlib
 import sys
 import warnings
-from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from hammerstein.escaping import clean, one_line
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 
 class Notice(UserWarning):
@@ -87,16 +90,38 @@ class InputError(HammersteinError):
         return "\n".join([f"{source}: {count}", *lines])
 
 
-def together(failures: Sequence[InputError], what: str) -> InputError:
-    """One error of several files: the only one as it is, several with the file before each place."""
+@contextlib.contextmanager
+def naming(source: str, instead_of: str | None = None) -> Iterator[None]:
+    """Let an InputError name this source, whatever it named, or instead of the given one alone."""
+    try:
+        yield
+    except InputError as error:
+        if instead_of not in (None, error.source):
+            raise
+        raise InputError(source, error.mistakes) from None
+
+
+def all_of(work: Callable[[S], T], items: Iterable[S], what: str) -> list[T]:
+    """Results of some work for each of several files.
+
+    Raises InputError with the mistakes of all: that of one file as it is, several with the file before each.
+    """
+    done, failures = list[T](), list[InputError]()
+    for item in items:
+        try:
+            done.append(work(item))
+        except InputError as error:
+            failures.append(error)
+    if not failures:
+        return done
     if len(failures) == 1:
-        return failures[0]
+        raise failures[0]
     mistakes = [
         Mistake(f"{e.source}, {m.where}" if m.where else e.source, m.what)
         for e in failures
         for m in e.mistakes
     ]
-    return InputError(f"{len(failures)} {what}", mistakes)
+    raise InputError(f"{len(failures)} {what}", mistakes)
 
 
 class SimulationError(HammersteinError):

@@ -115,6 +115,20 @@ def cell(text: str) -> str:
     return f"'{shown}" if text.startswith(_FORMULA) else shown
 
 
+def csv_text(rows: Any) -> str:
+    """Text of what pandas takes for a table, in which no word is a formula; numbers as they are.
+
+    >>> csv_text([{"label": "=1+1", "rms_um": 0.5, "max_um": None}])
+    "label,rms_um,max_um\\n'=1+1,0.5,\\n"
+    """
+    import pandas as pd
+
+    table = pd.DataFrame(rows)
+    words = table.select_dtypes(exclude=["number", "bool"])
+    table[words.columns] = words.map(lambda value: cell(value) if isinstance(value, str) else value)
+    return str(table.to_csv(index=False, header=[cell(str(name)) for name in table], lineterminator="\n"))
+
+
 def templates_of(package: str, target: type[Markup]) -> Environment:
     """Templates of a package, in which an unknown name is a mistake and every value is escaped.
 

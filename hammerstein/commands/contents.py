@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
 from hammerstein.records.array_files import SUFFIXES
 from hammerstein.records.readers import PARQUET, refuse_missing
-from hammerstein.validation import mistakes_of
+from hammerstein.validation import mistakes_in
 
 Facts = tuple[tuple[str, str], ...]
 Named = dict[str, Any]
@@ -116,10 +116,8 @@ def _json(path: Path) -> Contents:
 
 def _read(form: type[T], found: Any, path: Path) -> T:
     """What is shown of a file of ours; InputError where it is spoilt."""
-    try:
+    with mistakes_in(str(path), form):
         return form.model_validate(found)
-    except ValidationError as error:
-        raise InputError(str(path), mistakes_of(error, form)) from None
 
 
 def _scenario(path: Path) -> Iterator[tuple[str, str]]:

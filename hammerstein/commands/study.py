@@ -10,7 +10,7 @@ import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import typer
 
@@ -103,15 +103,8 @@ def _announced(scenario: Scenario, path: Path, jobs: int) -> tuple[str, float]:
     return f"{part.what}, about {duration(seconds)}{side}, {size(jobs * part.bytes)} of memory", seconds
 
 
-class _Table(Protocol):
-    """A file that takes runs one after the other."""
-
-    def add(self, one: Sampled) -> None:
-        """Write the rows of one run."""
-
-
 @contextlib.contextmanager
-def _written(out: Path, overwrite: bool) -> Iterator[_Table]:
+def _written(out: Path, overwrite: bool) -> Iterator[_Csv | _Parquet]:
     """A table that takes its name when it is whole; until then its file has none, and ends with the process.
 
     Raises InputError where another sweep is writing it.

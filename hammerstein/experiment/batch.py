@@ -7,7 +7,7 @@ from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from hammerstein.errors import HammersteinError, InputError, LostProcessError, together
+from hammerstein.errors import HammersteinError, InputError, LostProcessError, all_of
 from hammerstein.experiment.plan import longest_first, plans_of
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
@@ -64,15 +64,9 @@ def find_scenarios(paths: Sequence[Path]) -> list[Path]:
 
 def load_all(paths: Sequence[Path]) -> dict[str, Scenario]:
     """Scenarios by name; every file is checked before any is run, and all mistakes are told at once."""
-    scenarios, errors = {}, []
-    for path in find_scenarios(paths):
-        try:
-            scenarios[path.stem] = load_scenario(path)
-        except InputError as error:
-            errors.append(error)
-    if errors:
-        raise together(errors, "scenario files")
-    return scenarios
+    files = find_scenarios(paths)
+    scenarios = all_of(load_scenario, files, "scenario files")
+    return {file.stem: scenario for file, scenario in zip(files, scenarios, strict=True)}
 
 
 def run_all(

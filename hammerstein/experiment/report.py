@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.escaping import cell
+from hammerstein.escaping import csv_text
 from hammerstein.metrics import Keyed, Row
 from hammerstein.model.simulation import Response
 from hammerstein.notebook_repr import NotebookRepr
@@ -167,15 +167,11 @@ class Report(NotebookRepr):
 
     def bands_to_csv(self) -> str:
         """Text of ``bands.csv``: one line for each row and metric."""
-        import pandas as pd
-
-        return _csv(pd.DataFrame([asdict(band) for band in self.bands]))
+        return csv_text([asdict(band) for band in self.bands])
 
     def sensitivities_to_csv(self) -> str:
         """Text of ``sensitivities.csv``: one line for each row, metric and uncertain parameter."""
-        import pandas as pd
-
-        return _csv(pd.DataFrame([asdict(found) for found in self.sensitivities]))
+        return csv_text([asdict(found) for found in self.sensitivities])
 
     def to_csv(self) -> str:
         """Text of ``rms.csv``: one line for each row; undefined figures are empty."""
@@ -183,15 +179,9 @@ class Report(NotebookRepr):
 
     @cached_property
     def _table(self) -> str:
-        return _csv(self.to_frame())
+        return csv_text(self.to_frame())
 
 
 def _known(found: Band | Sensitivity) -> dict[str, Any]:
     """Plain JSON without what has no value."""
     return {name: value for name, value in asdict(found).items() if value is not None}
-
-
-def _csv(table: pd.DataFrame) -> str:
-    """Text of a table: words that a spreadsheet cannot take for formulas, numbers as they are."""
-    shown = table.apply(lambda column: column.map(lambda v: cell(v) if isinstance(v, str) else v))
-    return str(shown.to_csv(index=False, lineterminator="\n"))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from pydantic import ValidationError, model_validator
+from pydantic import model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
@@ -23,7 +23,7 @@ from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged
-from hammerstein.validation import Strict, mistakes_of
+from hammerstein.validation import Strict, mistakes_in
 
 MODEL_FILE, REQUEST_FILE = "model.json", "export.json"
 EXPORT = Owner("export")
@@ -143,10 +143,8 @@ def check_export(folder: Path) -> list[str]:
     ToleranceError : a file differs from the new one
     """
     place = folder / REQUEST_FILE
-    try:
+    with mistakes_in(str(place), ExportFile):
         export = ExportFile.model_validate_json(read_limited(place, "file of an export"))
-    except ValidationError as error:
-        raise InputError(str(place), mistakes_of(error, ExportFile)) from None
     model = HammersteinModel.load(folder / MODEL_FILE)
     files = files_of(CCode(export.request, model, export.request.block(model)), export.measured)
     differing = [said for name, text in files.items() if (said := _difference(folder / name, text))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from hammerstein.blocks import Law
 from hammerstein.compensators.attempt import sensorless_law
@@ -14,7 +14,7 @@ from hammerstein.errors import InputError
 from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Offset, Plain, SampleTime
-from hammerstein.validation import Strict, mistakes_of
+from hammerstein.validation import Strict, mistakes_in
 
 MODEL = "model"
 """As a law: the actuator itself."""
@@ -68,7 +68,5 @@ def request_of(
     model = HammersteinModel.load(path)
     time_s = sample_time_s if sample_time_s is not None else model.instruments.drive.sample_time_s
     fields = {"source": Path(path).name, "law": law, "sample_time_s": time_s, **given}
-    try:
+    with mistakes_in("compensate", Request):
         return Request.model_validate(fields), model
-    except ValidationError as error:
-        raise InputError("compensate", mistakes_of(error, Request)) from None

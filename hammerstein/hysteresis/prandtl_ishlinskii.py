@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hammerstein.arrays import Array, frozen
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
@@ -276,11 +276,8 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
 
 
 def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:
-    try:
+    with naming(f"pair of output {output + 1} and input {input_ + 1}"):
         return Pair(r, w)
-    except InputError as error:
-        name = f"pair of output {output + 1} and input {input_ + 1}"
-        raise InputError(name, error.mistakes) from None
 
 
 def _checked_plays(plays: Array, r: Array, k: int) -> Array:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field, JsonValue, ValidationError
+from pydantic import ConfigDict, Field, JsonValue
 
 from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks.axis_names import unique, word
@@ -26,14 +26,14 @@ from hammerstein.dynamics import (
     WithLoop,
 )
 from hammerstein.dynamics.feedback_hysteresis import MatrixForm
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.files import digest_of, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Normals
 from hammerstein.model.covariance import ParameterCovariance, ParameterCovarianceFile, drawn_blocks
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.plugins import looked_up
 from hammerstein.quantities import Name, Plain, Size, no_name
-from hammerstein.validation import Strict, mistakes_of, suggestion
+from hammerstein.validation import Strict, mistakes_in, suggestion
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.block_system import BlockSystem
@@ -315,14 +315,8 @@ class HammersteinModel(ByValue, NotebookRepr):
     @classmethod
     def from_json(cls, text: str, source: str = "model") -> HammersteinModel:
         """Model from the text of a model file; InputError with every mistake in it."""
-        try:
-            file = looked_up(lambda: ModelFile.model_validate_json(text))
-        except ValidationError as error:
-            raise InputError(source, mistakes_of(error, ModelFile)) from None
-        try:
-            return file.model()
-        except InputError as error:
-            raise InputError(source, error.mistakes) from None
+        with naming(source), mistakes_in(source, ModelFile):
+            return looked_up(lambda: ModelFile.model_validate_json(text)).model()
 
     def save(self, path: str | Path) -> None:
         """Write the model file, completely or not at all."""

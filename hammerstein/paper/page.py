@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hammerstein.escaping import cell, markdown_page
+from hammerstein.escaping import csv_text, markdown_page
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
@@ -34,31 +32,28 @@ def printed_at(report: Report) -> str:
 
 def claims_csv(reports: Sequence[Report]) -> str:
     """All claims of all reports as CSV: one line for each claim and actuator."""
-    table = [
-        {
-            "id": judgement.id,
-            "scenario": report.name,
-            "statement": judgement.statement,
-            "paper": judgement.paper,
-            "unit": judgement.unit,
-            "wanted": judgement.wanted,
-            "calibrated": judgement.calibrated,
-            "actuator": one.actuator,
-            "simulated": one.value,
-            "lowest": one.low,
-            "highest": one.high,
-            "verdict": one.word,
-            "reason": judgement.reason if one is judgement.simulated[0] else "",
-        }
-        for report in reports
-        for judgement in claimed(report)
-        for one in judgement.simulated
-    ]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(table[0]) if table else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({k: cell(v) if isinstance(v, str) else v for k, v in line.items()} for line in table)
-    return text.getvalue()
+    return csv_text(
+        [
+            {
+                "id": judgement.id,
+                "scenario": report.name,
+                "statement": judgement.statement,
+                "paper": judgement.paper,
+                "unit": judgement.unit,
+                "wanted": judgement.wanted,
+                "calibrated": judgement.calibrated,
+                "actuator": one.actuator,
+                "simulated": one.value,
+                "lowest": one.low,
+                "highest": one.high,
+                "verdict": one.word,
+                "reason": judgement.reason if one is judgement.simulated[0] else "",
+            }
+            for report in reports
+            for judgement in claimed(report)
+            for one in judgement.simulated
+        ]
+    )
 
 
 def write_claims(reports: Sequence[Report], out: Path, overwrite: bool = False) -> tuple[Path, ...]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.records import checks
 from hammerstein.records.checks import refuse_large as refuse_large
 from hammerstein.records.logger_files import Variable, Variables, excel_columns, stated_unit, tdms_channels
@@ -102,10 +102,8 @@ def whole_array(path: Path, variable: str) -> Array:
     InputError : unreadable file or unknown variable
     """
     variables = _variables(path)
-    try:
+    with naming(str(path)):
         return _loaded(variables, variable)
-    except InputError as error:
-        raise InputError(str(path), error.mistakes) from None
 
 
 def _parsed(column: str) -> tuple[str, list[int]]:

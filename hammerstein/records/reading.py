@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.errors import InputError, Mistake, together
+from hammerstein.errors import InputError, Mistake, all_of
 from hammerstein.quantities import RATE_HZ, SCALE
 from hammerstein.records.checks import (
     hidden_gaps,
@@ -65,19 +65,15 @@ def read_records(
         inputs, outputs, time = _chosen(paths[0], inputs, outputs, rate_hz, time)
     inputs, outputs = inputs or (), outputs or ()
     _refuse_arguments(paths, inputs, outputs, rate_hz, time, input_scale, output_scale)
-    records: list[Record] = []
-    failures: list[InputError] = []
-    for path in paths:
-        try:
-            wanted = [*inputs, *outputs, *([time] if time is not None else [])]
-            columns = read_columns(path, wanted)
-            records.append(_record(columns, len(inputs), len(outputs), rate_hz, input_scale, output_scale))
-            if rate_hz is not None:
-                _refuse_other_time(path, rate_hz, wanted)
-        except InputError as error:
-            failures.append(error)
-    if failures:
-        raise together(failures, "records")
+    m, p, wanted = len(inputs), len(outputs), [*inputs, *outputs, *([time] if time is not None else [])]
+
+    def read(path: PathLike) -> Record:
+        record = _record(read_columns(path, wanted), m, p, rate_hz, input_scale, output_scale)
+        if rate_hz is not None:
+            _refuse_other_time(path, rate_hz, wanted)
+        return record
+
+    records = all_of(read, paths, "records")
     if all_driven:
         _refuse_never_driven(records)
     return tuple(records)
@@ -303,23 +299,17 @@ def read_paired_records(
     if (len(u), *u.shape[2:]) != (len(y), *y.shape[2:]):
         raise InputError(source, f"have arrays of different sizes: {_sizes(u)} and {_sizes(y)}")
     period = u.shape[3] if "period" in axes else None
-    records: list[Record] = []
-    failures: list[InputError] = []
-    for k in range(len(u)):
-        try:
-            records.append(
-                Record(
-                    input_scale * u[k].reshape(u.shape[1], -1),
-                    output_scale * y[k].reshape(y.shape[1], -1),
-                    1.0 / rate_hz,
-                    source=source if len(u) == 1 else f"{source}, experiment {k + 1}",
-                    period_samples=period,
-                )
-            )
-        except InputError as error:
-            failures.append(error)
-    if failures:
-        raise together(failures, "records")
+
+    def experiment(k: int) -> Record:
+        return Record(
+            input_scale * u[k].reshape(u.shape[1], -1),
+            output_scale * y[k].reshape(y.shape[1], -1),
+            1.0 / rate_hz,
+            source=source if len(u) == 1 else f"{source}, experiment {k + 1}",
+            period_samples=period,
+        )
+
+    records = all_of(experiment, range(len(u)), "records")
     if all_driven:
         _refuse_never_driven(records)
     return tuple(records)

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, FiniteFloat, ValidationError
+from pydantic import Field, FiniteFloat
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
 from hammerstein.files import read_limited, refuse_no_file, write_atomic
 from hammerstein.runtime.storage.exchange import put_aside
-from hammerstein.validation import Strict, mistakes_of
+from hammerstein.validation import Strict, mistakes_in
 
 FORMAT = "hammerstein-baseline/1"
 NOTHING = " \t\r\n{}[]"
@@ -75,10 +75,8 @@ class Baseline:
     def load(cls, path: Path) -> Baseline:
         """Read a baseline file; InputError with every mistake in it."""
         text = read_limited(path, what="baseline")
-        try:
+        with mistakes_in(str(path), BaselineFile):
             file = BaselineFile.model_validate_json(text)
-        except ValidationError as error:
-            raise InputError(str(path), mistakes_of(error, BaselineFile)) from None
         rows = _by_key(((row.key, row.numbers) for row in file.rows), str(path))
         return cls(file.scenario_digest, file.model_digest, rows)
 

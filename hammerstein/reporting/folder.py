@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
-from hammerstein.escaping import cell
+from hammerstein.escaping import csv_text
 from hammerstein.experiment.report import Report, Trace
 from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.reporting.html.interactive import Interactive
@@ -154,19 +154,12 @@ def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:
     for number, trace in enumerate(report.traces, start=1):
         name = f"traces/{number:03d}_{_file_name(trace)}.{kind}"
         columns = {"time_s": trace.time_s} | trace.response.columns()
-        stage.write(name, _csv(columns) if kind == "csv" else _matlab(columns, stage.folder / name))
+        stage.write(name, csv_text(columns) if kind == "csv" else _matlab(columns, stage.folder / name))
 
 
 def _file_name(trace: Trace) -> str:
     words = f"{trace.label or 'drive'} {trace.excited_axis} {trace.signal.highest_frequency_hz:g}Hz"
     return "".join(c if c.isalnum() or c in ".-" else "_" for c in words[:LONGEST_NAME])
-
-
-def _csv(columns: dict[str, Array]) -> str:
-    import pandas as pd
-
-    shown = {cell(name): column for name, column in columns.items()}
-    return str(pd.DataFrame(shown).to_csv(index=False, lineterminator="\n"))
 
 
 def _matlab(columns: dict[str, Array], path: Path) -> bytes:

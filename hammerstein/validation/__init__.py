@@ -2,7 +2,11 @@
 
 from pydantic import BaseModel, ConfigDict
 
-from hammerstein.validation.findings import mistakes_of as mistakes_of, suggestion as suggestion
+from hammerstein.validation.findings import (
+    mistakes_in as mistakes_in,
+    mistakes_of as mistakes_of,
+    suggestion as suggestion,
+)
 
 
 class Strict(BaseModel):

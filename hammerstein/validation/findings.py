@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from hammerstein.errors import Mistake
+from hammerstein.errors import InputError, Mistake
 
 Node = dict[str, Any]
 DEEPEST = 5  # tables within tables
@@ -162,6 +163,15 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
     return [_mistake(where, findings, schema) for where, findings in found.items()]
 
 
+@contextmanager
+def mistakes_in(source: str, model: type[BaseModel] | TypeAdapter[Any]) -> Iterator[None]:
+    """Let what pydantic finds in a file or a value of this model be one InputError."""
+    try:
+        yield
+    except ValidationError as error:
+        raise InputError(source, mistakes_of(error, model)) from None
+
+
 _schemas: dict[type[BaseModel], tuple[object, Schema]] = {}
 
 
@@ -201,14 +211,12 @@ def _mistake(where: str, findings: Sequence[dict[str, Any]], schema: Schema) -> 
     kind = first["type"]
     if kind == "extra_forbidden":
         return Mistake(where, _unknown_key(str(first["loc"][-1]), first["place"], schema))
-    if kind == "missing":
+    if kind in ("missing", "union_tag_not_found"):
         return Mistake(where, "is missing")
     if kind == "union_tag_invalid":
         context = first["ctx"]
         near = suggestion(context["tag"], [t.strip(" '") for t in context["expected_tags"].split(",")])
         return Mistake(where, f"{context['tag']!r} is not one of {context['expected_tags']}{near}")
-    if kind == "union_tag_not_found":
-        return Mistake(where, "is missing")
     if kind == "json_invalid":
         return Mistake(where, f"is not JSON: {first['ctx']['error']}; is it the right file?")
     if first["loc"] and first["loc"][-1] == "[key]":

@@ -15,7 +15,7 @@ from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.learning.ilc_update import MEASURED, IlcUpdate, ilc_update
 from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, naming
 from hammerstein.model import HammersteinModel
 from hammerstein.signals.signal_files import read_signal
 
@@ -64,14 +64,10 @@ def _taught(
             f"is not sampled every {time_s:g} s like the drive; record it at this sample time",
         )
     bandwidth = design.model.instruments.sensor.bandwidth_hz
-    try:
+    with naming(str(trial[1]), instead_of=MEASURED):
         found = ilc_update(
             design.model, design.law, design.reference_um, drive, measured, uncertainty, bandwidth
         )
-    except InputError as error:
-        if error.source != MEASURED:
-            raise
-        raise InputError(str(trial[1]), error.mistakes) from None
     return found, drive
 
 

@@ -20,7 +20,7 @@ from typing import BinaryIO
 
 from filelock import FileLock, Timeout
 
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, naming
 from hammerstein.files import (
     drop_cleanup,
     reason_of,
@@ -295,13 +295,8 @@ def staged_beside(path: Path, owner: Owner, overwrite: bool = False) -> Iterator
     """Return the stage of the folder of one file; the folder may be a link, and errors name the file."""
     folder = behind_link(path.parent)
     refuse_no_file(str(path), path)
-    try:
-        with staged(folder, owner, overwrite) as stage:
-            yield stage
-    except InputError as error:
-        if error.source != str(folder):
-            raise
-        raise InputError(str(path), error.mistakes) from None
+    with naming(str(path), instead_of=str(folder)), staged(folder, owner, overwrite) as stage:
+        yield stage
 
 
 def behind_link(folder: Path) -> Path:
