@@ -121,8 +121,10 @@ def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
 def _compile(compile_it: Callable[[Any], Any], folder: Path | None, name: str, given: Any) -> Any:
     """Compile a loop for these types, or load it; of several processes that need it one compiles.
 
-    Two that keep a loop for different types at once could otherwise take one for the other.
+    Two that keep a loop for different types at once could otherwise take one for the other. A number that
+    stands in the call, such as 0, is of its type: it is no reason to compile the loop once more.
     """
+    given = tuple(map(numba.types.unliteral, given))
     if folder is None:
         _warn_once("compiled loops are not cached: set NUMBA_CACHE_DIR to a writable folder")
     with _alone(folder, name), uncollected():
