@@ -116,10 +116,10 @@ def cell(text: str) -> str:
 
 
 def csv_text(rows: Any) -> str:
-    """Text of what pandas takes for a table, in which no word is a formula; numbers as they are.
+    r"""Text of what pandas takes for a table, in which no word is a formula; numbers as they are.
 
     >>> csv_text([{"label": "=1+1", "rms_um": 0.5, "max_um": None}])
-    "label,rms_um,max_um\\n'=1+1,0.5,\\n"
+    "label,rms_um,max_um\n'=1+1,0.5,\n"
     """
     import pandas as pd
 
