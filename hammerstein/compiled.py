@@ -22,7 +22,6 @@ from typing import Any
 
 import filelock
 import numba
-import numpy as np
 from numba.core import event as numba_events
 from numba.core.errors import NumbaError
 from numba.extending import register_jitable
@@ -74,15 +73,6 @@ def helper(**options: Any) -> Callable[[Loop], Loop]:
     options : passed to ``numba.njit``
     """
     return register_jitable(**LEAN, **options)
-
-
-@helper()
-def one_sample():  # type: ignore[no-untyped-def]
-    """First sample and end of a loop over one sample, in a compiled loop that calls it.
-
-    Written as 0, 1 they would be types of their own, for which the whole loop is compiled once more.
-    """
-    return np.int64(0), np.int64(1)
 
 
 @contextmanager

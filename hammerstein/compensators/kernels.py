@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hammerstein.compiled import compiled, helper, one_sample
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.play_kernels import at, move, respond_turning_points
 
 # A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
@@ -143,7 +143,7 @@ def step_gain(sample, frame, gain, limits):  # type: ignore[no-untyped-def]
     m = gain.shape[0]
     reference, drive, sent = np.empty((sample.shape[0], 1)), np.empty((m, 1)), np.empty(m)
     sound = from_rest(sample, frame, reference)
-    respond_gain(reference, gain, limits[0], limits[1], limits[2], *one_sample(), drive)
+    respond_gain(reference, gain, limits[0], limits[1], limits[2], 0, 1, drive)
     return sent, to_sent(drive, frame, sent) and sound
 
 
@@ -174,7 +174,8 @@ def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
             moment,
             *plays,
             after,
-            *one_sample(),
+            0,
+            1,
             drive,
         )
         sound = to_sent(drive, frame, sent)
@@ -196,7 +197,7 @@ def step_decoupled(  # type: ignore[no-untyped-def]
     turned, way, sent = last.copy(), sign.copy(), np.empty(m)
     sound = from_rest(sample, frame, reference)
     if sound:
-        respond_turning_points(reference, r, guide, scale, n, lines, w, *plays, *one_sample(), v, outputs)
-        respond_inverse_play(v, limits[0], limits[1], limits[2], turned, way, *one_sample(), drive)
+        respond_turning_points(reference, r, guide, scale, n, lines, w, *plays, 0, 1, v, outputs)
+        respond_inverse_play(v, limits[0], limits[1], limits[2], turned, way, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
     return sent, plays, turned, way, sound

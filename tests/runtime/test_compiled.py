@@ -47,25 +47,6 @@ def _names_a_kernel(module):
     return module == "hammerstein.compiled" or "kernel" in module.rpartition(".")[2]
 
 
-def test_numbers_in_the_call_of_a_loop_compile_it_once():
-    """A loop that another calls from 0 to 1, for one sample, is the one that works through a signal."""
-
-    @compiled()
-    def through(values, first, stop):
-        for t in range(first, stop):
-            values[t] += 1.0
-
-    @compiled()
-    def one(values):
-        through(values, 0, 1)
-
-    values = np.zeros(2)
-    one(values)
-    through(values, 0, len(values))
-    assert len(through.signatures) == 1
-    assert (values == [2.0, 1.0]).all()
-
-
 def test_every_loop_stands_in_a_kernel_and_takes_nothing_from_elsewhere():
     """The folder of the kept loops is named by the sources of the kernels: nothing else may decide them."""
     for path in PACKAGE.rglob("*.py"):

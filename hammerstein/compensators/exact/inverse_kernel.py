@@ -42,7 +42,7 @@ from hammerstein.compensators.exact.piece_kernels import (
     push,
 )
 from hammerstein.compensators.kernels import from_rest, to_sent
-from hammerstein.compiled import compiled, helper, one_sample
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.play_kernels import at
 
 GONE = 1e-12
@@ -93,7 +93,7 @@ def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-unt
     sound = from_rest(sample, frame, reference)
     if sound:
         into, gain = np.empty((0, p)), np.empty((p, 0))
-        respond_exact(reference, m - p, none, into, gain, away, w, here, *one_sample(), drive)
+        respond_exact(reference, m - p, none, into, gain, away, w, here, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
     after, held = np.empty(stack.shape), np.empty(hand.shape)
     unloaded(w, here, after, held)

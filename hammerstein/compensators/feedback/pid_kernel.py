@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.blocks.instrument_kernels import converted
-from hammerstein.compiled import compiled, helper, one_sample
+from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.busy_kernels import BUSY, GROUP
 from hammerstein.hysteresis.play_kernels import load, plays_of, respond_block, stack_of
 
@@ -98,7 +98,7 @@ def run_closed_loop(  # type: ignore[no-untyped-def]
             counted[k, 0] = drive[k, t] - rest[k]
             if n[k] > 0:
                 count[k] = respond_block(
-                    counted[k], *one_sample(), r[k], guide[k], scale[k], lines[k], w[k], count[k],
+                    counted[k], 0, 1, r[k], guide[k], scale[k], lines[k], w[k], count[k],
                     ends[k], xs[k], ds[k], tips[k], positions[k], window[k], kept, v, outputs,
                 )  # fmt: skip
         _linear_step(rows, state, v[:, 0], z, new, both)

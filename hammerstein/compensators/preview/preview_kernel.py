@@ -6,7 +6,7 @@ import numpy as np
 
 from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
 from hammerstein.compensators.kernels import to_sent
-from hammerstein.compiled import compiled, one_sample
+from hammerstein.compiled import compiled
 
 at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
 
@@ -71,17 +71,17 @@ def step_path(  # type: ignore[no-untyped-def]
         references[o, raw.shape[1]] = path[o, known.shape[1]] = sample[o]
     if filter_taps.shape[0] > 1:
         newest = np.empty((p, 1))
-        filtered(filter_taps, references, *one_sample(), newest)
+        filtered(filter_taps, references, 0, 1, newest)
         path[:, known.shape[1]] = newest[:, 0]
     moving, left = modes.copy(), away.copy()
     w, here = loaded(table, about, stack, hand)
     if sound:
         a, b, c, taps, ahead = inverse
-        run_inverse(a, b, c, taps, ahead, moving, path, *one_sample(), v)
+        run_inverse(a, b, c, taps, ahead, moving, path, 0, 1, v)
         for o in range(p):
             v[o, 0] += frame[0, o]
         back, into, gain = recovery
-        respond_exact(v, m - p, back, into, gain, left, w, here, *one_sample(), drive)
+        respond_exact(v, m - p, back, into, gain, left, w, here, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
     after, held = np.empty(stack.shape), np.empty(hand.shape)
     unloaded(w, here, after, held)
