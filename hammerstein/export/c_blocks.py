@@ -453,9 +453,11 @@ def _(block: FeedbackBlock) -> CPart:
                 "loop_threshold", bank.r, "Thresholds in the loop: input, play; padded with infinite ones."
             ),
             Table("loop_weight", bank.w, "Their weights: input, play, output."),
-            Table("loop_limit", products.limit, "Limit of an input of the loop in products."),
             *(
-                (Table("product_weight", products.weights, "Weights of each product: output, product."),)
+                (
+                    Table("loop_limit", products.limit, "Limit of an input of the loop in products."),
+                    Table("product_weight", products.weights, "Weights of each product: output, product."),
+                )
                 if products.factors.size
                 else ()
             ),

@@ -1,6 +1,8 @@
 """Compensation of hysteresis in the loop: on the path by the printed equations, on a stream, and learned."""
 
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from scipy.optimize import brentq
 
 import hammerstein
 from hammerstein import HammersteinModel
+from hammerstein.compensators.drive_file import Terms, compensation_of
 from hammerstein.dynamics import (
     ElastoSlip,
     ElectromechanicalDynamics,
@@ -196,3 +199,26 @@ def test_passes_that_lead_away_are_refused():
     model = HammersteinModel("curved", straight, dynamics, 10.0, ("u",), ("x",))
     with pytest.raises(SimulationError, match="they diverge on a trial path"):
         hammerstein.HammersteinInverse().design(model, 10.0, TIME_S)
+
+
+@pytest.mark.full
+def test_a_square_wave_is_told_the_filter_with_which_it_is_within_reach():
+    """A jump beyond the resonance asks for kilovolts; without hysteresis in the loop the same is named."""
+    slips = tuple(ElastoSlip(stiffness_v_per_uc=k, threshold_uc=r) for k, r in STOPS)
+    axis = StackAxis(**NUMBERS, stiffness_n_per_um=STIFF[0], stops=slips)
+    straight, dynamics = PrandtlIshlinskii([[Pair([0.0], [1.0])]]), ElectromechanicalDynamics(axes=(axis,))
+    model = HammersteinModel("stack", straight, dynamics, 30.0, ("a",), ("x",))
+    drive = model.instruments.drive.model_copy(update={"sample_time_s": TIME_S, "range_v": (-20.0, 20.0)})
+    model = replace(model, instruments=model.instruments.model_copy(update={"drive": drive}))
+    wanted = np.where(np.arange(700) % 500 < 250, 3.0, -3.0)[None] * (np.arange(700) >= 100)
+    terms = Terms(beyond_records=True)
+    with pytest.raises(SimulationError) as refused:
+        compensation_of(model, wanted, "hammerstein_inverse", {}, terms)
+    named = re.search(r"--filter-hz (\d+) \((.*?) um\)", str(refused.value))
+    clipped = re.search(r"--clip \((.*?) um\)", str(refused.value))
+    assert named
+    assert clipped
+    found = compensation_of(model, wanted, "hammerstein_inverse", {"filter_hz": float(named[1])}, terms)
+    left = np.abs(found.attempt.predicted.error_um).max()
+    assert left == pytest.approx(float(named[2]), rel=0.06)
+    assert left < 0.6 * float(clipped[1])

@@ -18,7 +18,7 @@ BOARD = Path(__file__).parents[1] / "cortex_m4"
 EXPORTS = (
     *("filtered", "decoupled_inverse", "started exact_inverse", "asymmetric exact_inverse"),
     *("flattening hammerstein_inverse", "bouc-wen passes", "parallel model"),
-    *("saturating exact_inverse", "preisach exact_inverse"),
+    *("saturating exact_inverse", "preisach exact_inverse", "loop model", "curved loop model"),
 )
 REPEATED = ("inverse_multiplicative", "model", "asymmetric model behind plays")
 """Their code stands in that of the passes and of the model of all kinds, too."""
