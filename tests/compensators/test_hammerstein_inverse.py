@@ -115,6 +115,14 @@ def test_preview_is_one_sample_for_a_resonant_axis_and_stated_for_others():
     assert "1 zeros outside the unit circle (the slowest at |z| = 1.105)" in law.statement()
 
 
+@pytest.mark.parametrize("known", [1, 2, 3])
+def test_the_statement_counts_samples_of_preview(known):
+    law = HammersteinInverseLaw(_model(_axes(280.0)), 10.0, T, preview_s=known * T, filter_hz=1000.0)
+    counted = "1 sample" if known == 1 else f"{known} samples"
+    assert f"the law needs the reference {counted} ahead ({known * T:.3g} s)" in law.statement()
+    assert f"the position is {(law.needed_samples - known) * T:.3g} s late" in law.statement()
+
+
 def test_gain_of_the_inverse_is_large_above_the_resonance():
     bands = linear_inverse(_axes(280.0), T).large_gain_hz
     square = np.roots([1.0, 4.0 * 0.12**2 - 2.0, 1.0 - 100.0]).max()  # |G|^-2 = (1-q)^2 + 4 z^2 q = 10^2
