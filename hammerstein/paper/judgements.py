@@ -118,10 +118,14 @@ class Change:
     def of(cls, factor: str, words: str, claim: Claim, values: Sequence[float]) -> Change:
         """Judge a change by its figure in every run.
 
-        A single run is enough to say that it does not bring agreement; two of its digits are shown.
+        A single run is enough to say that it does not bring agreement; two of its digits are shown, or three
+        where two would agree.
         """
-        found = Simulated.told("", claim, values)
-        shown = found.shown if len(values) > 1 else f"{values[0]:.2g}"
+        found, shown = Simulated.told("", claim, values), f"{values[0]:.2g}"
+        if len(values) > 1:
+            shown = found.shown
+        elif not found.agrees and claim.agreement.holds(float(shown), claim.paper):
+            shown = f"{values[0]:.3g}"
         return cls(factor, words, values[0], shown, found.agrees is True)
 
     @property

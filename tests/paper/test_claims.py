@@ -172,6 +172,13 @@ def test_a_cause_brings_agreement_with_every_seed_and_sample_time():
     assert _told(sometimes).reason == "No change of one or two factors brings agreement."
 
 
+def test_digits_of_a_change_do_not_agree_where_its_figure_does_not():
+    claim = _claim({"at_most": 1.0})
+    assert Change.of("passes", "with 16 passes", claim, [1.02]).shown == "1.02"
+    assert Change.of("passes", "with 16 passes", claim, [1.06]).shown == "1.1"
+    assert Change.of("passes", "with 16 passes", claim, [0.98]).shown == "0.98"
+
+
 def test_a_change_that_brings_agreement_is_repeated_as_the_run_itself():
     scenario = load_scenario(SCENARIOS[0].with_name("circles.toml"))
     model = HammersteinModel.load(scenario.actuator)
