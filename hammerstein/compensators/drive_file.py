@@ -32,6 +32,8 @@ DRIVE = Owner("drive", single=True)
 ROUGH, AMPLIFIED = 1e-3, 10.0
 """Noise of a drive, relative to its span, and its ratio to the relative noise of the path, from which it is
 named: a path rounded to 1 nm became steps of 15 V for a stage of 200 Hz on a grid of 20 kHz."""
+FINEST = 1e-8
+"""Rounding of a path, relative to its span, below which it is not what makes a drive rough."""
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
@@ -43,7 +45,7 @@ class Compensation:
     prediction : parts of the error
     reach : what slow paths can reach
     time_s : (sample,) on the drive's sample time; the path begins at its own time, a lead-in before it
-    resampled : whether the file was interpolated onto the drive's sample time
+    resampled : how the file was interpolated onto the drive's sample time; empty if it was not
     source : name of the model
     held : whether the drive is limited by the range, at an error smaller than that of the model
     approach : statement on the holds of the path that are approached from one side, if requested
@@ -54,7 +56,7 @@ class Compensation:
     prediction: Prediction
     reach: Reach
     time_s: Array
-    resampled: bool
+    resampled: str
     source: str
     held: bool = False
     approach: str = ""
@@ -98,8 +100,8 @@ class Compensation:
                 "reach_alone_um": self.reach.alone_um[o].tolist(),
                 "reach_together_um": self.reach.together_um[o].tolist(),
                 "reference_um": [float(self.reference_um[o].min()), float(self.reference_um[o].max())],
-                "predicted_rms_um": float(np.sqrt(np.mean(self.shortfall.error_um[o] ** 2))),
-                "predicted_max_um": float(np.abs(self.shortfall.error_um[o]).max()),
+                "predicted_rms_um": float(self.attempt.path_rms_um[o]),
+                "predicted_max_um": float(self.attempt.path_error_um[o]),
                 "expected_error": self.prediction.summary(o),
             }
             for o, name in enumerate(self.model.outputs)
@@ -147,24 +149,35 @@ class Compensation:
         """Say where the drive follows another path than the file has."""
         said = [self.approach] if self.approach else []
         if self.held:
-            said.append(
-                "The drive stays at the limit of its range where the path needs more; the error of "
-                "this is below the model error."
-            )
+            said.append(self._held())
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
         said += self._amplified
         if self.resampled:
-            said.append(
-                "The path was interpolated linearly onto the drive's sample time; corners may need filter_hz."
-            )
+            said.append(self.resampled)
         return said
+
+    def _held(self) -> str:
+        """Say that the range limits the drive, and by how much less than the model errs."""
+        lead, limited = self.attempt.lead, self.shortfall.at_range.any(axis=0)
+        if limited[lead:].any():
+            return (
+                "The drive reaches the limit of its range; the error that this causes is below the model "
+                "error."
+            )
+        error_um = np.abs(self.shortfall.error_um[:, :lead]).max()
+        return (
+            f"The lead-in reaches the limit of the range and has an error of up to {error_um:.2g} um; on the "
+            "path, what remains of it is below the model error."
+        )
 
     @cached_property
     def _amplified(self) -> list[str]:
         """Say where the law turns the rounding or noise of the path into a noise of the drive."""
         path, drive = self.reference_um[:, self.attempt.lead :], self.drive_v[:, self.attempt.lead :]
         rough_um, span_um = max(map(noise_rms, path)), float(np.ptp(path, axis=1).max())
+        if rough_um < FINEST * span_um:
+            return []
         for name, row in zip(self.model.inputs, drive, strict=True):
             rough_v, span_v = noise_rms(row), float(np.ptp(row))
             if rough_v > ROUGH * span_v and rough_v * span_um > AMPLIFIED * rough_um * span_v:
@@ -310,14 +323,14 @@ def compensation_of(
     if not (terms.clip or held or found.predicted.complete):
         moved_already = terms.offset_um is not None
         missed = Missed(model, limits, compensator, path, found, own, reachable, moved_already)
-        ends = f"With {limits.words(model.inputs)} (--range), relative to the start (--start):"
         raise SimulationError(
-            f"out of reach: {missed.statement()}\n{ends} {reachable.statement(model.outputs)}"
+            f"out of reach: {missed.statement()}\n{reachable.statement(model.outputs)} These positions count "
+            f"from the initial one (--start), with {limits.words(model.inputs)} (--range)."
         )
     if not terms.beyond_records:
         refuse_beyond(model, found.drive_v)
     time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
-    return Compensation(model, found, prediction, reachable, time_s, False, called, held, approach)
+    return Compensation(model, found, prediction, reachable, time_s, "", called, held, approach)
 
 
 def _asked_path(model: HammersteinModel, path_um: Array, terms: Terms) -> tuple[Array, str]:

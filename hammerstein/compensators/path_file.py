@@ -21,6 +21,9 @@ from hammerstein.signals.units import displacement_factor, unit_in
 LEAST_SHARE, MOST_SHARE = 0.01, 10.0
 """Parts of the model's travel between which a path without a unit is taken to be in um."""
 
+GAP, GAPS = 1.5, 0.01
+"""Steps of time in medians of a path from which they are gaps, and the part of the steps that may be."""
+
 
 def half_span_v(model: HammersteinModel) -> Array:
     """Half of what the records covered of each input (m,) [V]; not finite where nothing limits it."""
@@ -147,8 +150,8 @@ def read_path(
     cost: PathCost = DRIVE_COST,
     onlooker: Onlooker = UNWATCHED,
     units: str | None = None,
-) -> tuple[Array, Array, bool]:
-    """Times (sample,), positions (output, sample) on the drive's grid, and whether they were resampled.
+) -> tuple[Array, Array, str]:
+    """Times (sample,), positions (output, sample) on the drive's grid, and how they were resampled, if so.
 
     Parameters
     ----------
@@ -175,4 +178,22 @@ def read_path(
     grid = times[0] + np.arange(samples) * sample_time_s
     same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)
     reference = values if same else np.stack([np.interp(grid, times, row) for row in values])
-    return grid, np.ascontiguousarray(reference), not same
+    return grid, np.ascontiguousarray(reference), "" if same else _resampled(times, sample_time_s)
+
+
+def _resampled(times: Array, sample_time_s: float) -> str:
+    """Say from which steps a path was interpolated, or where it has gaps."""
+    steps = np.diff(times)
+    typical = float(np.median(steps))
+    gaps = np.flatnonzero(steps > GAP * typical)
+    if not 0 < gaps.size <= GAPS * steps.size:
+        return (
+            f"The path was interpolated linearly from steps of {typical:.4g} s to the sample time of the "
+            f"drive, {sample_time_s:.4g} s. If this makes corners, smooth them with --filter-hz."
+        )
+    worst = int(gaps[np.argmax(steps[gaps])])
+    many = "a gap" if gaps.size == 1 else f"{gaps.size} gaps, the longest"
+    return (
+        f"The path has {many} of {steps[worst]:.4g} s after {times[worst]:.6g} s, where its steps are "
+        f"{typical:.4g} s. The drive follows a straight line across it: check that no rows are missing."
+    )

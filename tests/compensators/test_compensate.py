@@ -8,6 +8,7 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.compensators.drive_file import compensate
+from hammerstein.compensators.lead_in import lead_in
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step
@@ -78,9 +79,33 @@ def test_summary_is_one_object(tmp_path, capsys):
 def test_path_on_another_grid_is_interpolated(tmp_path, capsys):
     _circle(tmp_path / "path.csv", sample_time_s=130e-6, samples=500)
     assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / "d.csv") == 0
-    assert "interpolated" in capsys.readouterr().out
+    assert "interpolated linearly from steps of 0.00013 s" in capsys.readouterr().out
     times = pd.read_csv(tmp_path / "d.csv", comment="#")["time_s"].to_numpy()
     np.testing.assert_allclose(np.diff(times), T, rtol=1e-9)
+
+
+def test_a_gap_in_the_time_of_a_path_is_named_with_its_place_and_length(tmp_path):
+    """1 ms of rows is missing: the drive crosses it in a straight line, which nobody asked for."""
+    _circle(tmp_path / "path.csv", samples=600)
+    rows = (tmp_path / "path.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "gap.csv").write_text("".join(rows[:301] + rows[320:]))
+    found = compensate("duo_bimorph", tmp_path / "gap.csv", "exact_inverse", {})
+    assert "a gap of 0.001 s after 0.01495 s, where its steps are 5e-05 s." in " ".join(found.statements())
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_the_lead_in_ends_with_the_acceleration_of_a_smooth_path(turn):
+    """The drive of a resonance follows the second difference of the path, which must not jump.
+
+    A jump rang at half the sample rate, through the zero of the sampled resonance near -1.
+    """
+    t = 5e-5 * np.arange(2000)
+    wave = 10.0 * np.cos(2.0 * np.pi * 40.0 * t + turn)[None, :]
+    path = np.hstack([lead_in(wave, 5e-5), wave])
+    largest = np.abs(np.diff(wave, 2)).max()
+    assert np.abs(np.diff(path, 3)).max() < 0.05 * largest
+    corner = 10.0 + 0.1 * np.maximum(np.arange(2000.0) - 2.0, 0.0)[None, :]  # no acceleration to meet
+    assert np.abs(lead_in(corner, 5e-5)).max() <= 10.0
 
 
 def test_partly_out_of_reach_is_refused_unless_asked_for(tmp_path, capsys):
@@ -228,7 +253,10 @@ def test_a_miss_below_the_models_own_error_is_held_at_the_range(tmp_path, capsys
     x = 40.0 * smooth_step(np.arange(-50, 750) / 700.0) - 0.005
     path = _path(tmp_path, x)
     assert _call("compensate", "stage.json", path, "--law", "exact_inverse") == 0
-    assert "stays at the limit of its range where the path needs more" in capsys.readouterr().out
+    assert (
+        "reaches the limit of its range; the error that this causes is below the model"
+        in capsys.readouterr().out
+    )
     far = _path(tmp_path, x - 0.5, "far.csv")
     assert _call("compensate", "stage.json", far, "--law", "exact_inverse", "--out", "far_drive.csv") == 3
     assert not (tmp_path / "far_drive.csv").exists()
