@@ -49,6 +49,8 @@ the model: it lowers the error from 7.4 to 0.8 %.
     """
     errors = {kind: score.mean_percent for kind, score in scores.items()}
     where = "On validation records" if held_back else "On the fitted records (no validation record)"
+    if any(len(score.nrmse_percent) > 1 for score in scores.values()):
+        where += ", mean of the outputs"
     listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
     sentences = [f"{where}: {listed} of the range."]
     if {"linear_dynamics", "hammerstein"} <= errors.keys():

@@ -148,7 +148,7 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
     numbers = [_error(fit)]
     if "linear" in fit.judged and fit.kind != "linear":
         linear = max(fit.judged["linear"].nrmse_percent)
-        numbers.append(f"Error of a linear gain: {percent(linear / 100.0)}.")
+        numbers.append(f"Rms error of a linear gain: at most {percent(linear / 100.0)} of the range.")
     resonances = [axis.axis.resonance_hz for axis in fit.axes if axis.axis.resonance_hz is not None]
     fastest = min(fit.records, key=lambda record: record.sample_time_s).rate_hz
     numbers.append(

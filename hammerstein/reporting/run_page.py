@@ -160,11 +160,24 @@ def _body(report: Report, figures: Sequence[str]) -> Markdown:
         unsaid=len(statements[MOST_STATEMENTS:]),
         tables=number_tables(report),
         setting=list(setting_of(report)),
-        sources=[source_of(source) for source in (*scenario.compensators, *scenario.models)],
+        sources=_filled([source_of(source) for source in (*scenario.compensators, *scenario.models)]),
         glossary=glossary_of(report),
         asked=scenario.assessment,
-        judged=[(judgement.agrees, judgement.cells()) for judgement in report.judgements],
+        judged=list(
+            zip(
+                [judgement.agrees for judgement in report.judgements],
+                _filled([judgement.cells() for judgement in report.judgements]),
+                strict=True,
+            )
+        ),
     ).strip()
+
+
+def _filled(lines: Sequence[dict[str, str]]) -> list[dict[str, str]]:
+    """Lines of a table, by column, without the columns that are empty in all of them."""
+    return [
+        {name: text for name, text in line.items() if any(other[name] for other in lines)} for line in lines
+    ]
 
 
 def _facts(report: Report) -> Iterator[str]:
@@ -289,18 +302,24 @@ def setting_of(report: Report) -> Iterator[tuple[str, str]]:
     yield "Digest of the actuator's model", code(report.model_digest)
 
 
-def source_of(source: ModelSource) -> tuple[str, str, str, str]:
-    """Label, law, settings and origin of a compensator or model."""
+def source_of(source: ModelSource) -> dict[str, str]:
+    """Label, law, settings and origin of a compensator or model, by column."""
     described = (inspect.getdoc(type(source)) or "").splitlines()
     is_law = hasattr(source, "law")
     what = described[0].rstrip(".") if is_law and described else "Prandtl-Ishlinskii model"
     own = source.model_dump(
         mode="json", exclude_defaults=True, exclude={"label", "law", "identification", "model"}
     )
-    if source.identification is None:
-        return source.label, what, _listed(own, plain=True), f"file {PurePath(str(source.model)).name}"
-    found = source.identification.model_dump(mode="json", exclude_none=True)
-    return source.label, what, _listed(own, plain=True), f"identified: {_listed(found, plain=True)}"
+    origin = f"file {PurePath(str(source.model)).name}"
+    if source.identification is not None:
+        found = source.identification.model_dump(mode="json", exclude_none=True)
+        origin = f"identified: {_listed(found, plain=True)}"
+    return {
+        "compensator" if is_law else "model": source.label,
+        "law or model": what,
+        "settings": _listed(own, plain=True),
+        "source of its model": origin,
+    }
 
 
 def _listed(values: dict[str, Any], plain: bool = False) -> str:

@@ -145,8 +145,8 @@ def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
     if told_bands:
         draws = report.scenario.uncertainty.draws
         yield (
-            f"For {draws} random actuators, the {words} has these medians and 95 % limits in the "
-            f"worst case: {'; '.join(clauses)}. For the nominal (undisturbed) actuator:"
+            f"For {draws} random actuators, the {words}, median and 95 % limit in the worst run: "
+            f"{'; '.join(clauses)}. For the nominal (undisturbed) actuator:"
         )
 
 
@@ -207,7 +207,7 @@ def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, contest
     for condition, found in values.items():
         texts = [f"{contest.named(n)} {number(v)} um{_share(condition, v, merit)}" for n, v in found.items()]
         if len(texts) > MOST_LABELS:
-            texts = [*texts[: MOST_LABELS - 1], f"and at most {texts[-1]}"]
+            texts = [*texts[: MOST_LABELS - 1], f"largest: {texts[-1]}"]
         points.append((f"at {names[condition]}: " if len(values) > 1 else "") + ", ".join(texts))
     if len(points) == 1:
         return Sentence(f"The {merit.words}: {points[0]}.")
@@ -315,7 +315,7 @@ def _loops(report: Report) -> Iterator[str]:
         cross = largest((row for row in rows if not is_direct(report, row)), "height_um")
         if cross is not None:
             texts.append(f"the largest cross-coupling is {number(cross)} um from end to end")
-        yield f"At {condition.words()} {'; '.join(texts)}."
+        yield f"At {condition.words()}: {'; '.join(texts)}."
 
 
 def _grouped(runs: Sequence[str]) -> str:

@@ -194,6 +194,16 @@ def test_sweep_of_an_uncertain_actuator_has_bands() -> None:
     assert (thin, middle) == (nominal.rms_um, band.median_um)
 
 
+def test_a_band_on_a_linear_axis_is_not_cut() -> None:
+    """The axis was fitted to the medians: the band of a first trial went beyond it."""
+    values = np.array([[[0.7, 0.57, 0.57]]])
+    curve = SweepCurve("learned", np.arange(1.0, 4.0), values, band=(0.9 * values, 2.0 * values))
+    (axes,) = sweep_figure([curve], [["x"]], "rms error").axes
+    assert axes.get_yscale() == "linear"
+    assert axes.get_ylim()[0] == 0.0
+    assert axes.get_ylim()[1] > 1.4
+
+
 @pytest.mark.parametrize("x", [[10.0, 20.0, 30.0], [1.0, 10.0, 100.0]])
 def test_bands_of_several_compensators_stand_beside_each_other(x: list[float]) -> None:
     """Areas would hide each other: every band has bars of its own from its lower to its upper edge."""

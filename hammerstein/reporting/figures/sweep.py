@@ -115,6 +115,7 @@ def sweep_figure(
         _scale(panels, curves)
         for own, row in zip(groups, panels, strict=True):
             _draw_bands(row, [(number, curves[number]) for number in own])
+        _fit_to_all(panels)
         for number, axes in enumerate(panels.flat):
             o, k = divmod(number % (rows * columns), columns)
             letter(axes, number, panel_titles[o][k])
@@ -211,6 +212,11 @@ def _scale(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
         if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
             axes.set_yscale("log")
             plain_numbers(axes.yaxis)
-        else:
+
+
+def _fit_to_all(panels: np.ndarray) -> None:
+    """Limits about all that is drawn, bands included; linear axes begin at 0."""
+    for axes in panels.flat:
+        if axes.get_yscale() == "linear":
             axes.set_ylim(bottom=0.0)
         axes.margins(x=0.02, y=0.08)
