@@ -183,7 +183,7 @@ def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:
         for axes in panels[:, 1]:
             plain_numbers(axes.yaxis)
             plain_numbers(axes.xaxis)
-        legend_above(figure, entries, f"residual on {Path(record.source).name}")
+        legend_above(figure, entries, f"Prediction error on {Path(record.source).name}")
     return figure
 
 
