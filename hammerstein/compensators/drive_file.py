@@ -161,14 +161,10 @@ class Compensation:
         """Say that the range limits the drive, and by how much less than the model errs."""
         lead, limited = self.attempt.lead, self.shortfall.at_range.any(axis=0)
         if limited[lead:].any():
-            return (
-                "The drive reaches the limit of its range; the error that this causes is below the model "
-                "error."
-            )
-        error_um = np.abs(self.shortfall.error_um[:, :lead]).max()
+            return "The drive reaches the limit of its range; the error of this is below the model error."
+        most = f"{np.abs(self.shortfall.error_um[:, :lead]).max():.2g} um"
         return (
-            f"The lead-in reaches the limit of the range and has an error of up to {error_um:.2g} um; on the "
-            "path, what remains of it is below the model error."
+            f"The range limits the lead-in, by up to {most}; on the path, the error is below the model error."
         )
 
     @cached_property

@@ -47,7 +47,7 @@ def lead_in(reference_um: Array, sample_time_s: float) -> Array:
     x = np.arange(samples) / samples
     turn, bow = x**3 * (-4.0 + x * (7.0 - 3.0 * x)), 0.5 * x**3 * (1.0 - x) ** 2
     last_s = samples * sample_time_s
-    ends = velocity[:, None] * (last_s * turn) + acceleration[:, None] * (last_s**2 * bow)
+    ends = np.multiply.outer(velocity, last_s * turn) + np.multiply.outer(acceleration, last_s**2 * bow)
     return np.asarray(start[:, None] * smooth_step(x) + ends)
 
 

@@ -191,8 +191,7 @@ def _resampled(times: Array, sample_time_s: float) -> str:
             f"The path was interpolated linearly from steps of {typical:.4g} s to the sample time of the "
             f"drive, {sample_time_s:.4g} s. If this makes corners, smooth them with --filter-hz."
         )
-    worst = int(gaps[np.argmax(steps[gaps])])
-    many = "a gap" if gaps.size == 1 else f"{gaps.size} gaps, the longest"
+    worst, many = int(np.argmax(steps)), "a gap" if gaps.size == 1 else f"{gaps.size} gaps, the longest"
     return (
         f"The path has {many} of {steps[worst]:.4g} s after {times[worst]:.6g} s, where its steps are "
         f"{typical:.4g} s. The drive follows a straight line across it: check that no rows are missing."

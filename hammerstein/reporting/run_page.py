@@ -151,7 +151,7 @@ def _small_table(rows: Sequence[Sequence[Markdown]]) -> Markdown:
 
 
 def _body(report: Report, figures: Sequence[str]) -> Markdown:
-    statements, scenario = gathered(report.statements), report.scenario
+    statements, scenario, judged = gathered(report.statements), report.scenario, report.judgements
     return markdown_page(
         "report.md.jinja",
         report=report,
@@ -163,13 +163,7 @@ def _body(report: Report, figures: Sequence[str]) -> Markdown:
         sources=_filled([source_of(source) for source in (*scenario.compensators, *scenario.models)]),
         glossary=glossary_of(report),
         asked=scenario.assessment,
-        judged=list(
-            zip(
-                [judgement.agrees for judgement in report.judgements],
-                _filled([judgement.cells() for judgement in report.judgements]),
-                strict=True,
-            )
-        ),
+        judged=list(zip([j.agrees for j in judged], _filled([j.cells() for j in judged]), strict=True)),
     ).strip()
 
 
@@ -314,12 +308,8 @@ def source_of(source: ModelSource) -> dict[str, str]:
     if source.identification is not None:
         found = source.identification.model_dump(mode="json", exclude_none=True)
         origin = f"identified: {_listed(found, plain=True)}"
-    return {
-        "compensator" if is_law else "model": source.label,
-        "law or model": what,
-        "settings": _listed(own, plain=True),
-        "source of its model": origin,
-    }
+    columns = ("compensator" if is_law else "model", "law or model", "settings", "source of its model")
+    return dict(zip(columns, (source.label, what, _listed(own, plain=True), origin), strict=True))
 
 
 def _listed(values: dict[str, Any], plain: bool = False) -> str:

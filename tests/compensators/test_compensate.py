@@ -254,7 +254,7 @@ def test_a_miss_below_the_models_own_error_is_held_at_the_range(tmp_path, capsys
     path = _path(tmp_path, x)
     assert _call("compensate", "stage.json", path, "--law", "exact_inverse") == 0
     assert (
-        "reaches the limit of its range; the error that this causes is below the model"
+        "reaches the limit of its range; the error of this is below the model error"
         in capsys.readouterr().out
     )
     far = _path(tmp_path, x - 0.5, "far.csv")
