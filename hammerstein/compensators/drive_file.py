@@ -126,7 +126,7 @@ class Compensation:
     def essentials(self) -> list[str]:
         """Summarise in at most three lines what to check before sending; the file has the details."""
         warned = [*verdict_statements(self.model), *self._path_statements()]
-        return [*([" ".join(warned)] if warned else []), self._start(), self._expected()]
+        return [*([" ".join(warned)] if warned else []), self._start(), self.prediction.statement(self.model.outputs)]
 
     def statements(self) -> list[str]:
         """Say all that is known of the voltages."""
@@ -135,15 +135,12 @@ class Compensation:
         ]
         said += verdict_statements(self.model)
         said += [self._start(), f"Range {self.law.range.words(self.model.inputs)}."]
-        said.append(self._expected())
+        said.append(self.prediction.statement(self.model.outputs))
         if self.attempt.lead:
             seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])
             said.append(f"The first {seconds:.4g} s move from the initial position to the start of the path.")
         said += [text] if (text := self.law.statement()) else []
         return said + self._path_statements()
-
-    def _expected(self) -> str:
-        return self.prediction.statement(self.model.outputs)
 
     def _path_statements(self) -> list[str]:
         """Say where the drive follows another path than the file has."""

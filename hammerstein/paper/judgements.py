@@ -121,11 +121,10 @@ class Change:
         A single run is enough to say that it does not bring agreement; two of its digits are shown, or three
         where two would agree.
         """
-        found, shown = Simulated.told("", claim, values), f"{values[0]:.2g}"
-        if len(values) > 1:
-            shown = found.shown
-        elif not found.agrees and claim.agreement.holds(float(shown), claim.paper):
-            shown = f"{values[0]:.3g}"
+        found = Simulated.told("", claim, values)
+        agreed = claim.agreement.holds(float(f"{values[0]:.2g}"), claim.paper)
+        one = f"{values[0]:.{2 if agreed is found.agrees else 3}g}"
+        shown = found.shown if len(values) > 1 else one
         return cls(factor, words, values[0], shown, found.agrees is True)
 
     @property
