@@ -126,7 +126,8 @@ class Compensation:
     def essentials(self) -> list[str]:
         """Summarise in at most three lines what to check before sending; the file has the details."""
         warned = [*verdict_statements(self.model), *self._path_statements()]
-        return [*([" ".join(warned)] if warned else []), self._start(), self.prediction.statement(self.model.outputs)]
+        expected = self.prediction.statement(self.model.outputs)
+        return [*([" ".join(warned)] if warned else []), self._start(), expected]
 
     def statements(self) -> list[str]:
         """Say all that is known of the voltages."""
