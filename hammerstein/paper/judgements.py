@@ -122,9 +122,8 @@ class Change:
         where two would agree.
         """
         found = Simulated.told("", claim, values)
-        agreed = claim.agreement.holds(float(f"{values[0]:.2g}"), claim.paper)
-        one = f"{values[0]:.{2 if agreed is found.agrees else 3}g}"
-        shown = found.shown if len(values) > 1 else one
+        digits = 2 if claim.agreement.holds(float(f"{values[0]:.2g}"), claim.paper) is found.agrees else 3
+        shown = found.shown if len(values) > 1 else f"{values[0]:.{digits}g}"
         return cls(factor, words, values[0], shown, found.agrees is True)
 
     @property
