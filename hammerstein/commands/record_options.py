@@ -213,6 +213,10 @@ class StaticBlock:
     ] = None
 
 
+OF_THE_LOOP = ("--order", "--accept-order")
+"""Options of a cascade that the search for hysteresis in the loop uses, too."""
+
+
 @dataclass(frozen=True)
 class InLoop:
     """Hysteresis in the loop of the dynamics."""
@@ -227,6 +231,14 @@ class InLoop:
     minutes: Annotated[
         float, typer.Option(min=0.1, max=1440.0, help="Time limit of --hysteresis-in-loop.")
     ] = 60.0
+
+    def refuse_unused(self, words: Sequence[str]) -> None:
+        """Refuse options of other models, which its search would ignore."""
+        from hammerstein.errors import InputError
+
+        unused = [word for word in words if word.startswith("--") and word not in OF_THE_LOOP]
+        if self.hysteresis_in_loop and unused:
+            raise InputError("--hysteresis-in-loop", f"does not use {', '.join(unused)}; remove it")
 
     def settings(self, order: int | None) -> LoopSettings | None:
         """The settings of its search; None where it is not asked for."""

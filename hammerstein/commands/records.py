@@ -158,6 +158,7 @@ def identify(
     settings: Settings | LoopSettings = in_loop.settings(identified.order) or identified.settings(
         hysteresis=static.hysteresis, dead_zones=static.dead_zones
     )
+    in_loop.refuse_unused([*words_of(identified), *words_of(static)])
     folder = report or out.parent / f"{out.stem}_fit"
     prepare_folder("--report", folder, FIT, ALWAYS, overwrite)
     groups = (recorded, identified, static, in_loop)

@@ -178,3 +178,12 @@ def test_another_identification_leaves_an_interrupted_search(arrays):
     done = CliRunner().invoke(app, [*words, "--out", str(arrays.out)])
     assert done.exit_code == 0, done.output
     assert search.read_text() == "{}"
+
+
+def test_options_of_other_models_are_refused_and_not_ignored(arrays):
+    words = ["identify", str(arrays.u), str(arrays.y), "--axes", "experiment,channel,period,sample"]
+    words += ["--rate", "10000", "--hysteresis-in-loop", "--operators", "8", "--hysteresis", "preisach"]
+    done = CliRunner().invoke(app, [*words, "--out", str(arrays.out)], terminal_width=1000)
+    assert done.exit_code != 0
+    assert "does not use --operators, --hysteresis" in str(done.exception)
+    assert not arrays.out.exists()

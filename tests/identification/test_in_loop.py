@@ -12,8 +12,8 @@ from hammerstein import HammersteinModel
 from hammerstein.dynamics import on_grid
 from hammerstein.errors import InputError
 from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.score import benchmark_rms
 from hammerstein.identification.in_loop.search import Search, SettledPeriod
+from reports.measured.one_model.make import benchmark_rms
 
 WARM, SAMPLES = 300, 512
 PAGE = Path(__file__).parents[2] / "reports" / "measured" / "one_model"

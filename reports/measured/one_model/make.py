@@ -16,14 +16,15 @@ import json
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.blocks.instruments import Drive
 from hammerstein.dynamics import on_grid
 from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.score import benchmark_rms
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
 from hammerstein.model import HammersteinModel
 
@@ -38,6 +39,8 @@ PUBLISHED = {
     "one linear model for all": (0.252, 0.179, 0.658),
     "one nonlinear model for all (state space, static nonlinearity in feedback)": (0.087, 0.131, 0.169),
 }
+LEFT_OUT = 100
+"""Samples of a record that do not count in the benchmark's metric."""
 BANDS_HZ = (0, 50, 500, 800, 1000, 1200, 1600, 2200, 2600, 3000, 3201)
 
 
@@ -45,6 +48,21 @@ def records(folder: Path, level_mv: int, part: str) -> tuple[Array, Array]:
     """Voltages [V] and positions [um] (experiment, period, channel, sample) of a level."""
     u, y = (np.load(folder / f"{axis}_{level_mv}mV_{part}.npy") for axis in "uy")
     return tuple(np.ascontiguousarray(np.transpose(a, (2, 3, 1, 0))) for a in (u, 1e6 * y))  # type: ignore[return-value]
+
+
+def benchmark_rms(simulated: Array, measured: Array) -> float:
+    """Root mean square of all errors of one level, all records, channels and samples together.
+
+    The first LEFT_OUT samples of every record do not count.
+
+    Parameters
+    ----------
+    simulated, measured : (record, channel, sample) positions of one unit
+
+    Source: M. Floren, github.com/merijnfloren/fsm-benchmark-data (2026).
+    """
+    errors = (measured - simulated)[..., LEFT_OUT:]
+    return float(np.sqrt(np.mean(errors * errors)))
 
 
 def simulated(model: HammersteinModel, u: Array) -> Array:
@@ -138,7 +156,9 @@ def fit(folder: Path, file: Path, minutes: float) -> None:
     found = LoopParameters.load(file)
     inputs, outputs = ([f"{axis}{i + 1}" for i in range(len(found.C))] for axis in "uy")
     model = found.model("fine steering mirror", TIME_S, LARGEST_V, inputs, outputs)
-    model.save(HERE / "model.json")
+    drive = Drive(sample_time_s=TIME_S, range_v=LARGEST_V)
+    instruments = model.instruments.model_copy(update={"drive": drive})
+    replace(model, instruments=instruments).save(HERE / "model.json")
 
 
 def write_table(folder: Path) -> None:
