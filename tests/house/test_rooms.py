@@ -29,10 +29,10 @@ SCENARIO = {
 @pytest.fixture(scope="module")
 def calls(tmp_path_factory):
     """Pairs (caller, called) of files of the package in a run to its report."""
-    folder = tmp_path_factory.mktemp("reports")
+    folder, run = tmp_path_factory.mktemp("reports"), hammerstein.run  # to look it up is no step of a run
 
     def to_a_report(name):
-        write_report(hammerstein.run(SCENARIO), folder / name, figures=False)
+        write_report(run(SCENARIO), folder / name, figures=False)
 
     found = set()
 

@@ -50,7 +50,7 @@ def test_many_reports_end_in_fifteen_lines(reports: list[Report], tmp_path: Path
     assert len(told) == 3
     assert all("20 um" in line and "Hz" in line for line in told)
     assert any("sine, 20 um, 80 Hz" in line for line in told)  # not three of one kind
-    assert "  duo_bimorph_static: 0 of 20 met, 0 undecided" in lines
+    assert "  duo_bimorph_static (paper, equations 12 and 13): 0 of 20 met, 0 undecided" in lines
     assert not any("not met" in line for line in lines)
 
 
