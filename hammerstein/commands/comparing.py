@@ -44,6 +44,7 @@ def compare(
     That is every kind of hysteresis, and linear models.
     """
     from hammerstein.comparison.compare import compare as compared
+    from hammerstein.errors import naming
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
     from hammerstein.runtime.storage.staging import prepare_folder
 
@@ -54,7 +55,7 @@ def compare(
     recorded.gains(records)
     samples = sum(record.samples for record in records)
     begun = f"comparing every kind of model on {samples} samples; long records take minutes"
-    with Spinner(begun) as spinner:
+    with Spinner(begun) as spinner, naming("--hysteresis-in-loop", instead_of="in_loop"):
 
         def watch(what: str, done: int, total: int) -> None:
             spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)

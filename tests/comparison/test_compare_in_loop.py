@@ -6,8 +6,10 @@ import json
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hammerstein
+from hammerstein.commands.cli import app
 from hammerstein.comparison import fitting
 from hammerstein.comparison.in_loop import NAME, fit_in_loop
 from hammerstein.dynamics import (
@@ -132,3 +134,15 @@ def test_a_known_sensor_is_refused():
     records = [record(cascade(), k, 3.0 * (k + 1)) for k in range(3)]
     with pytest.raises(InputError, match="identified with its sensor"):
         hammerstein.compare(records, Settings(sensor_delay_s=1e-3), in_loop=SHORT)
+
+
+def test_the_command_names_its_option_where_a_sensor_is_known(tmp_path):
+    files = []
+    for k in range(3):
+        one = record(cascade(), k, 3.0 * (k + 1))
+        files.append(str(tmp_path / f"{k}.csv"))
+        head = ",".join([*(f"{n} [V]" for n in one.inputs), *(f"{n} [um]" for n in one.outputs)])
+        np.savetxt(files[-1], np.vstack([one.u_v, one.y_um]).T, delimiter=",", header=head, comments="")
+    words = ["compare", *files, "--rate", f"{1.0 / TIME_S:g}", "--hysteresis-in-loop", "--accept-gain"]
+    done = CliRunner().invoke(app, [*words, "--sensor-bandwidth", "2000", "--out", str(tmp_path / "out")])
+    assert str(done.exception).startswith("--hysteresis-in-loop: hysteresis in the loop is identified with")

@@ -92,8 +92,7 @@ def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-unt
     none, away = np.empty((0, 0)), np.empty(0)
     sound = from_rest(sample, frame, reference)
     if sound:
-        into, gain = np.empty((0, p)), np.empty((p, 0))
-        respond_exact(reference, m - p, none, into, gain, away, w, here, 0, 1, drive)
+        respond_exact(reference, m - p, none, np.empty((0, p)), np.empty((p, 0)), away, w, here, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
     after, held = np.empty(stack.shape), np.empty(hand.shape)
     unloaded(w, here, after, held)
