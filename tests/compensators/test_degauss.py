@@ -32,6 +32,13 @@ def test_a_play_forgets_all_but_half_a_step(cycles, before_v):
         assert abs(p[-1]) <= 10.0 / (4.0 * cycles) + 1e-3
 
 
+def test_without_a_number_of_cycles_an_eightieth_of_the_amplitude_is_left_at_most():
+    signal = Degauss(amplitude=80.0, frequency_hz=1.0, axis="all")
+    u = signal.sample(np.linspace(0.0, signal.period_s, 8401), 1)[0]
+    kept = [abs(theory.play(u, r)[-1]) for r in np.linspace(10.0, 12.0, 21)]
+    assert 0.9 < max(kept) <= 1.0
+
+
 def test_the_drive_of_the_command_erases_the_history(tmp_path, capsys):
     out = tmp_path / "degauss.csv"
     words = ("degauss", "duo_bimorph_static", "--cycles", "50", "--frequency", "20", "--out", out)

@@ -6,8 +6,9 @@ import pytest
 import theory
 
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw, convergence
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import BoucWen, BoucWenPair, Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.slopes import slope_matrices
 from hammerstein.model import HammersteinModel
 
@@ -196,6 +197,16 @@ def test_drive_stays_in_range_and_recovers(table):
     assert np.abs(drive).max() == 10.0
     position, _ = table.hysteresis.respond(drive)
     assert np.abs(position[:, -1]).max() < 0.3
+
+
+def test_around_another_kind_of_hysteresis_it_goes_on_from_its_state():
+    pair = BoucWenPair(direct_um_per_v=5.0, hysteretic_um_per_v=1.0, beta_per_v=0.3, gamma_per_v=0.1)
+    model = HammersteinModel("m", BoucWen([[pair]]), StaticDynamics(n_outputs=1), 10.0, ("u",), ("x",))
+    law, path = InverseMultiplicativeLaw(model, np.inf, T, iterations=2), 0.4 * _circle(1)[:1]
+    whole, _ = law.respond(path)
+    before, state = law.respond(path[:, :150])
+    after, _ = law.respond(path[:, 150:], state)
+    assert (np.hstack([before, after]) == whole).all()
 
 
 def test_refuses_what_is_not_square():

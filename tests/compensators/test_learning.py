@@ -9,6 +9,7 @@ import os
 import pickle
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -30,7 +31,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.reporting.figures.choice import figures_of, sweep_curves
 from hammerstein.reporting.summary import answer
-from hammerstein.scenario import Scenario
+from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.uncertainty import Uncertainty
 
 T = 50e-6
@@ -140,6 +141,12 @@ def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
     taught = ilc_update(model, law, path, centred(law, model, path), np.tile(0.9 * path, 3), uncertainty)
     assert taught.limit_hz == first
     assert f"Above {first:.4g} Hz the model is too uncertain." in taught.statement()
+
+
+def test_a_model_that_states_no_error_is_as_uncertain_as_the_actuators_that_learning_is_tried_on():
+    drawn = load_scenario(Path(__file__).parents[2] / "scenarios" / "beyond_learning.toml").uncertainty
+    for stated in (drawn, UNCERTAIN):
+        assert ModelUncertainty() == ModelUncertainty(stated.weights, stated.resonance)
 
 
 def test_the_error_bound_covers_the_drawn_resonances(model):

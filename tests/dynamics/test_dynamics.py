@@ -12,6 +12,7 @@ from hammerstein.dynamics import (
     cantilever,
     discretise,
 )
+from hammerstein.dynamics.linear_block import LinearBlock
 from hammerstein.errors import InputError
 
 T = 50e-6
@@ -86,6 +87,21 @@ def test_cascade_equals_forced_response_of_python_control():
     assert np.abs(y - expected).max() < 1e-9
 
 
+def test_the_response_of_a_series_is_the_product_of_the_responses():
+    rng = np.random.default_rng(3)
+
+    def block(outputs, states, inputs):
+        sizes = (states, states), (states, inputs), (outputs, states), (outputs, inputs)
+        return LinearBlock(*(rng.standard_normal(size) for size in sizes), None)
+
+    def at(s, own):
+        return own.C @ np.linalg.solve(s * np.eye(len(own.A)) - own.A, own.B) + own.D
+
+    first, last = block(3, 4, 2), block(2, 5, 3)
+    for s in (0.7j, 11j, 2.0 + 3j):
+        np.testing.assert_allclose(at(s, last.behind(first)), at(s, last) @ at(s, first), rtol=1e-10)
+
+
 def test_sensor_is_behind_the_position_and_sees_it_continuously():
     # A fine grid converges to the product of the continuous responses.
     f, dynamics = 150.0, _axes()
@@ -95,6 +111,16 @@ def test_sensor_is_behind_the_position_and_sees_it_continuously():
     position = theory.second_order(f, 280.0, 0.12)
     assert response[0, 0] == pytest.approx(position, rel=1e-3)
     assert response[2, 0] == pytest.approx(position * theory.first_order(f, 2000.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("inputs", [1, 3])
+def test_a_delay_is_refused_from_where_it_says(inputs, monkeypatch):
+    monkeypatch.setattr("hammerstein.dynamics.linear_block.MOST_DELAY_STATES", 20)
+    most = 20 // inputs
+    gain = LinearBlock(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((1, 0)), np.ones((1, inputs)), T)
+    assert len(gain.delayed(most).A) == most * inputs
+    with pytest.raises(InputError, match=f"at most {most} are possible"):
+        gain.delayed(most + 1)
 
 
 @pytest.mark.parametrize("delay_samples", [0, 1, 2.4, 3])

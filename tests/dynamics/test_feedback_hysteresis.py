@@ -233,3 +233,13 @@ def test_ideal_instruments_change_nothing():
     here, u = model(discrete()), RNG.normal(size=(2, 30))
     found = here.simulate(u, TIME_S, instruments=Instruments.ideal()).position_um
     assert np.array_equal(found, block(plays()).respond(u)[0])
+
+
+@pytest.mark.parametrize("size", [0.4, 8.0])
+def test_ends_of_slow_loops_are_those_that_it_reaches(size):
+    here, ends = block(plays()), size * np.array([[1.0, 0.0, 1.0], [0.0, 1.0, -0.5]])
+    falls = np.linspace(1.0, -1.0, 4001)
+    turns = np.concatenate([np.linspace(0.0, 1.0, 2000), falls, -falls, falls])
+    for end, found in zip(ends.T, here.slow_ends(ends).T, strict=True):
+        y, _ = here.respond(end[:, None] * turns)
+        np.testing.assert_allclose(found, 0.5 * (y[:, -4001] - y[:, -1]), rtol=0.01)

@@ -1,7 +1,7 @@
 """The long campaign: ``python -m tests.fuzz --hostile 20000 --scenarios 10000 --models 5000 --options 1000``.
 
 Every finding is printed once, and the files that brought it about are kept; the exit code tells whether there
-were any.
+were any. A campaign that is stopped (SIGTERM, as ``timeout`` sends it, or Ctrl-C) says what it has counted.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import collections
 import random
 import re
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable
@@ -26,6 +27,19 @@ from .workers import SLOW_S, in_a_process
 KINDS = ("hostile", "scenarios", "models", "records", "paths", "baselines", "files", "results", "options")
 PIECE = 500
 """Cases of one process: what leaks is not carried on for ever."""
+CLASSES = {
+    "memory": r"large: |the process ended with (3|-9)\b",
+    "signal": r"the process ended with -",
+    "hang": r"slow: ",
+    "warning shown": r"^FindingError: [^\n]*: warns ",
+    "nonsense number": r"nonsense number|not finite|a result holds",
+    "raw markup": r"raw markup",
+    "control character": r"control character",
+    "file outside the folder": r"file outside the folder|file of a person",
+    "internal error": r"internal error",
+    "traceback": r"^(?!FindingError)\w+: |Traceback|exit code (?![0-4]\b)",
+}
+"""What a finding says, the first that fits; whatever else it says is another class."""
 Do = Callable[[Callable[[], int]], None]
 
 
@@ -36,6 +50,7 @@ class Tally:
         self.folder, self.keep = folder, keep
         self.codes: dict[str, collections.Counter[int]] = collections.defaultdict(collections.Counter)
         self.findings: dict[str, int] = {}
+        self.classes: collections.Counter[str] = collections.Counter()
         self.slowest_s: dict[str, float] = collections.defaultdict(float)
         self.total_s = 0.0
 
@@ -51,6 +66,7 @@ class Tally:
             self._keep(kind, found)
 
     def _keep(self, kind: str, found: str) -> None:
+        self.classes[class_of(found)] += 1
         name = re.sub(r"0x[0-9a-f]+|[0-9.e+-]+|'[^']*'", "_", found.partition("\n")[0] + found[-200:])[-300:]
         if name in self.findings:
             self.findings[name] += 1
@@ -70,8 +86,14 @@ class Tally:
             lines.append(
                 f"{kind}: {ends.replace('with -1', 'too long')}; slowest {self.slowest_s[kind]:.1f} s"
             )
+        lines.append(", ".join(f"{name}: {self.classes[name]}" for name in (*CLASSES, "other")))
         lines.append(f"{self.total_s:.0f} s of the processor, {len(self.findings)} findings")
         return "\n".join(lines) + "\n"
+
+
+def class_of(found: str) -> str:
+    """Class of a finding."""
+    return next((name for name, pattern in CLASSES.items() if re.search(pattern, found)), "other")
 
 
 def from_strategy(strategy: Any, count: int, number: int, work: Callable[[Any], None]) -> None:
@@ -167,18 +189,26 @@ def main() -> int:
     if not any(getattr(asked, kind) for kind in KINDS):
         parser.error(f"say how many: {', '.join('--' + kind for kind in KINDS)}")
     campaign.warm_up()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        tally = Tally(folder, asked.keep)
-        for kind in KINDS:
-            each, number, left = pieces(kind, folder), asked.seed, getattr(asked, kind)
-            while left > 0:
-                before, count = sum(tally.codes[kind].values()), min(left, PIECE)
-                whole = in_a_process(kind, partial(each, count, number), tally.told)
-                left -= count if whole else max(1, sum(tally.codes[kind].values()) - before)
-                number += 1000
-    sys.stdout.write(tally.text())
+        tally = Tally(Path(name), asked.keep)
+        try:
+            for kind in KINDS:
+                _run(kind, getattr(asked, kind), asked.seed, tally)
+        except KeyboardInterrupt:
+            sys.stdout.write("stopped\n")
+        sys.stdout.write(tally.text())
     return int(bool(tally.findings))
+
+
+def _run(kind: str, left: int, number: int, tally: Tally) -> None:
+    """So many cases of a kind, a piece of them in each process."""
+    each = pieces(kind, tally.folder)
+    while left > 0:
+        before, count = sum(tally.codes[kind].values()), min(left, PIECE)
+        whole = in_a_process(kind, partial(each, count, number), tally.told)
+        left -= count if whole else max(1, sum(tally.codes[kind].values()) - before)
+        number += 1000
 
 
 if __name__ == "__main__":

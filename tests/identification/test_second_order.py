@@ -12,7 +12,9 @@ from scipy.signal import cont2discrete, lfilter
 from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
+from hammerstein.identification import axes_candidates
 from hammerstein.identification.axes_candidates import dynamics_of
+from hammerstein.identification.identify import identify
 from hammerstein.identification.linear import axis_search
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import checked_delay, search_axes
@@ -21,6 +23,7 @@ from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axi
 from hammerstein.identification.linear.delay import _part_of_a_sample
 from hammerstein.identification.rates import several_rates
 from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.verdict import axis_statements
@@ -357,3 +360,24 @@ def test_a_sine_and_a_slow_multisine_tell_a_resonance_whatever_its_phases(seed):
     fit = fit_axis(task, np.log([270.0, 0.1]))
     assert fit.axis.resonance_hz == pytest.approx(280.0, rel=0.01)
     assert fit.identified
+
+
+def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch):
+    calls = []
+
+    def nothing_gained(task, thresholds_v, dynamics, rounds):
+        calls.append(rounds)
+        return thresholds_v
+
+    monkeypatch.setattr(axes_candidates, "fitted_thresholds", nothing_gained)
+    records = [Record(r.u_v[:1], r.y_um[:1], T) for r in campaign(0.01, frequencies=(30.0, 250.0))[:2]]
+    given = Settings(
+        partition="fitted",
+        dynamics="second_order",
+        operators=3,
+        creep_modes=0,
+        delay_samples=0,
+        error_curve=False,
+    )
+    identify(records, given)
+    assert len(calls) == 1 + axes_candidates.PATIENCE < axes_candidates.MOST_TURNS

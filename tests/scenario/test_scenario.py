@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 from hammerstein.errors import InputError
+from hammerstein.identification.settings import Settings
 from hammerstein.scenario import Scenario, load_scenario
+from hammerstein.scenario.source import JointFitSpec
 
 GOOD = """
 question = "How round is the circle?"
@@ -149,3 +151,18 @@ def test_keys_without_end_are_no_scenario(tmp_path: Path, text: str) -> None:
         assert tracemalloc.get_traced_memory()[1] < 20e6
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("option", ["operators", "creep_modes", "dead_zones"])
+def test_a_scenario_takes_as_much_of_an_option_as_an_identification(option):
+    def largest(accept):
+        for number in range(1, 1000):
+            try:
+                accept({option: number})
+            except (ValueError, InputError):
+                return number - 1
+        return None
+
+    given = {"hysteresis": "asymmetric"} if option == "dead_zones" else {}
+    taken = largest(lambda more: Settings(**given, **more))
+    assert largest(lambda more: JointFitSpec(method="hammerstein", **given, **more)) == taken > 1

@@ -125,6 +125,17 @@ def test_circle_needs_two_axes():
         Circle(radius=1.0, frequency_hz=1.0).sample(t, 3)
 
 
+def test_an_offset_moves_a_file_and_without_one_it_holds_what_is_sent(tmp_path):
+    rows = np.array([[0.0, 1.0, 2.0], [1e-3, -1.0, 5.0]])
+    place = tmp_path / "volts.csv"
+    place.write_text("time_s,x,y\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    for rest in (0.0, (0.5, -2.0)):
+        alone = FromFile(path=str(place)).sample(rows[:, 0], 2, rest)
+        moved = FromFile(path=str(place), offset=(3.0, -4.0)).sample(rows[:, 0], 2, rest)
+        np.testing.assert_allclose(alone, rows[:, 1:].T)
+        np.testing.assert_allclose(moved, rows[:, 1:].T + np.array([[3.0], [-4.0]]))
+
+
 def test_one_offset_is_that_of_the_axis_that_moves_and_others_are_one_for_each():
     time_s = np.linspace(0.0, 0.02, 200)
     for axes in (1, 2, 3):
