@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from . import hostile, options, strategies
+from .__main__ import class_of
 from .campaign import (
     baseline_case,
     good_baseline,
@@ -32,6 +33,24 @@ SHORT = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("fuzz")
+
+
+@pytest.mark.parametrize(
+    ("found", "name"),
+    [
+        ("KeyError: 'a'", "traceback"),
+        ("FindingError: ('run',): exit code 70\nhammerstein: internal error", "internal error"),
+        ("the process ended with -11", "signal"),
+        ("large: 2.1 GB resident", "memory"),
+        ("slow: not done after 61 s of the processor", "hang"),
+        ("FindingError: ('show',): warns overflow in kernel.py:3", "warning shown"),
+        ("FindingError: ['run', 'a']: nonsense number in a.md: inf", "nonsense number"),
+        ("FindingError: ['run', 'a']: raw markup in a.md", "raw markup"),
+        ("FindingError: ('show', 'warns a.csv'): exit code 2 names none of ('a',)", "other"),
+    ],
+)
+def test_a_finding_has_one_class(found, name):
+    assert class_of(found) == name
 
 
 @pytest.fixture(autouse=True)

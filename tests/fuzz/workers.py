@@ -62,7 +62,7 @@ def _listen(kind: str, process: Any, ours: Connection, told: Told) -> bool:
             told(kind, *heard)
             ours.send("go on")  # the files of the case were wanted
             busy, begun = _processor_s(known), time.monotonic()
-        elif _processor_s(known) - busy > SLOW_S or time.monotonic() - begun > STUCK_S:
+        elif _processor_s(known) - busy > SLOW_S or (time.monotonic() - begun > STUCK_S and _waits(known)):
             seconds = _processor_s(known) - busy
             told(kind, None, f"slow: not done after {seconds:.0f} s of the processor", seconds)
             return False
@@ -74,6 +74,14 @@ def _processor_s(process: psutil.Process) -> float:
     except psutil.NoSuchProcess:
         return 0.0
     return float(times.user + times.system)
+
+
+def _waits(process: psutil.Process) -> bool:
+    """Whether a process asks for no processor; on a loaded machine one that does may not get it."""
+    try:
+        return process.status() != psutil.STATUS_RUNNING
+    except psutil.NoSuchProcess:
+        return True
 
 
 def _work(cases: Callable[[Callable[[Callable[[], int]], None]], None], theirs: Connection) -> None:

@@ -17,7 +17,7 @@ from hammerstein.identification.axes_candidates import dynamics_of
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear import axis_search
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes, fit_axis
-from hammerstein.identification.linear.axis_search import checked_delay, search_axes
+from hammerstein.identification.linear.axis_search import FirstGuess, checked_delay, search_axes
 from hammerstein.identification.linear.axis_steps import refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.delay import _part_of_a_sample
@@ -200,6 +200,24 @@ def test_a_slow_record_tells_no_resonance():
 def axis_fit(resonance_hz, told, creep=(), creep_gain_errors=(), damping_error_percent=1.0):
     axis = Axis(resonance_hz=resonance_hz, damping_ratio=0.1, creep=creep)
     return AxisFit(axis, 0.1, damping_error_percent, creep_gain_errors, 0.1 if told else 0.99, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("lag_um", "resonance_um", "chosen"),
+    [(0.8, 0.5, "second order"), (0.505, 0.5, "lag"), (0.5, 0.8, "lag"), (np.inf, 0.5, "second order")],
+)
+def test_each_axis_has_the_simplest_shape_that_leaves_two_percent_more_at_most(lag_um, resonance_um, chosen):
+    """The other axis, for which a low-pass is enough, keeps it."""
+    shapes = AxisShape(False, lag=True), AxisShape()
+    axes = Axis(lag_s=1e-3), Axis(resonance_hz=280.0, damping_ratio=0.1)
+
+    def fit(axis, *rms_um):
+        each = [SimpleNamespace(axis=axis, rms_um=um, identified=np.isfinite(um)) for um in rms_um]
+        return SimpleNamespace(axes=each)
+
+    guesses = [FirstGuess((shape, shape), (np.zeros(3),) * 2, 0.0) for shape in shapes]
+    fits = [fit(axes[0], lag_um, 0.3), fit(axes[1], resonance_um, 0.3)]
+    assert [shape.name for shape in axes_candidates._best_shapes(guesses, fits).shapes] == [chosen, "lag"]
 
 
 def test_an_axis_that_is_not_told_passes_its_input_unchanged():
