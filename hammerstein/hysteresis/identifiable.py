@@ -120,7 +120,10 @@ class Identifiable(ABC):
 
     @property
     def places(self) -> tuple[Array, ...]:
-        """Fixed thresholds and breakpoints, which are not ``free``: sorted groups (place,) [V]."""
+        """Places that are fixed, not ``free``, in sorted groups (place,) [V].
+
+        First the thresholds of each input, then breakpoints of each pair, as absolute voltages.
+        """
         return ()
 
     def at_places(self, places: Sequence[Array]) -> Self:

@@ -43,6 +43,7 @@ from hammerstein.identification.static.static_block import (
     SlopeColumns,
     Thresholds,
     half_swing,
+    swing_ends,
 )
 from hammerstein.identification.static_candidates import begun_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Task
@@ -390,8 +391,7 @@ def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
     auto = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
     if auto and finest:
         thresholds_v = [input_grids(records, finest, "voltage")]
-    low: Array = np.array([r.u_v.min(axis=1) + r.rest_v for r in records]).min(axis=0)
-    high: Array = np.array([r.u_v.max(axis=1) + r.rest_v for r in records]).max(axis=0)
+    low, high = swing_ends(records)
     return Driven(
         low_v=low,
         high_v=high,

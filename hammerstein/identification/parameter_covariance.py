@@ -40,7 +40,7 @@ from hammerstein.identification.misspecification import moved_beside_other_laws,
 from hammerstein.identification.rates import fastest_rad_per_s
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.static_block import half_swing
+from hammerstein.identification.static.static_block import half_swing, swing_ends
 from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
 from hammerstein.records.record import Record
 
@@ -76,7 +76,7 @@ def parameter_covariance(
     uncoupled = isinstance(candidate.dynamics, AxesDynamics | StaticDynamics)
     if hysteresis.weight_covariance is None or not uncoupled:
         return None
-    scale, cells = _scale(hysteresis, len(beside_weights(hysteresis, candidate.dynamics)))
+    scale, cells = _scale(hysteresis, len(beside_weights(hysteresis, candidate.dynamics)), records)
     every = math.ceil(sum(record.samples for record in records) / COUNTED)
     told = [
         _told_by(candidate, record, start, scale, every)
@@ -98,31 +98,25 @@ def parameter_covariance(
     return ParameterCovariance(factor, mean.following, tuple(fitted.tolist()), tuple(untold))
 
 
-def _scale(hysteresis: Hysteresis[Any], size: int) -> tuple[Array, int]:
+def _scale(hysteresis: Hysteresis[Any], size: int, records: Sequence[Record]) -> tuple[Array, int]:
     """Possible change of each parameter (number,), as a standard deviation, and the number of thresholds.
 
     A threshold lies anywhere within half the distance to its nearest neighbour, where the linearisation
-    holds.
+    holds; neighbours are 0 V, too, for a threshold, and for a breakpoint the ends of the recorded swing.
     """
-    scale = np.ones(size)
     groups = hysteresis.places if isinstance(hysteresis, Identifiable) else ()
     if isinstance(hysteresis, PrandtlIshlinskii):
         groups = tuple(np.split(hysteresis.free, np.cumsum(hysteresis.bank.n)[:-1]))
-    cells = sum(map(len, groups))
-    scale[:cells] = np.concatenate([_cells(r) for r in groups]) if cells else 0.0
-    return scale, cells
+    cells, m = sum(map(len, groups)), hysteresis.n_inputs
+    ends = list(zip(*swing_ends(records), strict=True))
+    each = [_cells(r, *((0.0, np.inf) if i < m else ends[i % m])) for i, r in enumerate(groups)]
+    return np.concatenate([*each, np.ones(size - cells)]), cells
 
 
-def _cells(r: Array) -> Array:
-    """Standard deviation (place,) of a uniform distribution as wide as the nearest gap [V].
-
-    A threshold of 0 stands at its end. A lone place has its distance from 0 V on both sides.
-    """
-    if not r.size:
-        return np.empty(0)
-    first = 0.0 if r[0] >= 0.0 else -np.inf
-    gaps = np.diff(r, prepend=first, append=np.inf if len(r) > 1 else r[0] + abs(r[0]))
-    return np.asarray(np.where(r != 0.0, np.minimum(gaps[:-1], gaps[1:]) / np.sqrt(12.0), 0.0))
+def _cells(r: Array, low: float, high: float) -> Array:
+    """Standard deviation (place,) of a uniform distribution as wide as the nearest gap between ends [V]."""
+    gaps = np.maximum(np.diff(r, prepend=low, append=high), 0.0)
+    return np.asarray(np.minimum(gaps[:-1], gaps[1:]) / np.sqrt(12.0))
 
 
 class _Told(NamedTuple):

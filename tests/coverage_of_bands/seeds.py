@@ -39,11 +39,13 @@ class Kind:
     hysteresis: str
     dynamic: bool
     partition: str = "auto"
+    dead_zones: int | None = None
 
     @property
     def name(self) -> str:
         """Words for a table."""
-        return f"{self.hysteresis}, {self.partition}, {'second order' if self.dynamic else 'static'}"
+        how = f"{self.dead_zones} breakpoint" if self.dead_zones else self.partition
+        return f"{self.hysteresis}, {how}, {'second order' if self.dynamic else 'static'}"
 
 
 KINDS = [
@@ -58,6 +60,7 @@ KINDS = [
         ("asymmetric", "auto"),
     )
 ]
+KINDS.append(Kind("asymmetric", False, dead_zones=1))
 
 
 def actuator(kind: Kind, rng: np.random.Generator) -> HammersteinModel:
@@ -65,6 +68,7 @@ def actuator(kind: Kind, rng: np.random.Generator) -> HammersteinModel:
     r = np.concatenate([[0.0], np.sort(rng.uniform(0.2, 7.0, 9))])
     w = np.concatenate([[rng.uniform(3.0, 5.0)], rng.uniform(0.05, 0.6, 9)])
     plays = PrandtlIshlinskii([[Pair(r, w)]])
+    zones = kind.dead_zones or 2
     hysteresis = {
         "prandtl_ishlinskii": lambda: plays,
         "bouc_wen": lambda: BoucWen(
@@ -83,7 +87,7 @@ def actuator(kind: Kind, rng: np.random.Generator) -> HammersteinModel:
             (RatePlays(r, np.where(r > 0.0, rng.uniform(2e-4, 6e-4), 0.0), 300.0),), ((w,),)
         ),
         "asymmetric": lambda: Asymmetric(
-            plays, ((DeadZones(np.sort(rng.uniform(-7.0, 7.0, 2)), rng.uniform(-0.5, 0.5, 2)),),)
+            plays, ((DeadZones(np.sort(rng.uniform(-7.0, 7.0, zones)), rng.uniform(-0.5, 0.5, zones)),),)
         ),
     }[kind.hysteresis]()
     dynamics = StaticDynamics(n_outputs=1)
@@ -140,6 +144,7 @@ def found(kind: Kind, seed: int) -> Found:
         hysteresis=kind.hysteresis,
         dynamics="second_order" if kind.dynamic else "none",
         partition=kind.partition,
+        dead_zones=kind.dead_zones,
         error_curve=False,
         creep_modes=0,
         delay_samples=0,

@@ -116,8 +116,8 @@ def test_a_threshold_of_no_weight_is_open():
     assert (np.delete(model.covariance.errors, 1) < 0.2 * model.covariance.errors[1]).all()
 
 
-def test_a_lone_breakpoint_is_as_unsure_below_the_working_point_as_above_it():
-    """Mirrored records, y(-u) = -y(u), have the mirrored model: below, its breakpoint passed for exact."""
+def test_a_lone_breakpoint_is_as_unsure_wherever_the_voltage_is_counted_from():
+    """Mirrored and shifted records have mirrored and shifted models; one in the middle passed for exact."""
     t = np.arange(1200) / 300.0
     u = np.sin(2.0 * np.pi * t)[None] * (2.4 + 0.4 * t)
     y = theory.prandtl_ishlinskii(u, [[np.array([0.0, 0.8])]], [[np.array([3.0, 0.6])]])
@@ -125,11 +125,17 @@ def test_a_lone_breakpoint_is_as_unsure_below_the_working_point_as_above_it():
     settings = Settings(
         hysteresis="asymmetric", operators=2, dead_zones=1, dynamics="none", error_curve=False
     )
-    one, other = (identify([Record(sign * u, sign * y, T)], settings)[0] for sign in (1.0, -1.0))
-    breakpoints = [model.hysteresis.zones[0][0].breakpoints_v for model in (one, other)]
-    assert breakpoints[0] == pytest.approx(-breakpoints[1])
-    assert one.covariance.errors == pytest.approx(other.covariance.errors, rel=0.3)  # of eight draws
-    assert one.covariance.errors[-1] > 0.0
+
+    def found(sign, from_v):
+        model, _ = identify([Record(sign * u + from_v, sign * y, T)], settings)
+        return model.hysteresis.zones[0][0].breakpoints_v, model.covariance.errors
+
+    breakpoint_v, errors = found(1.0, 0.0)
+    assert 0.5 * abs(breakpoint_v - 1.3) < errors[-1] < 0.5 * np.ptp(u)  # it is 1.3 V in truth
+    for sign, from_v in ((-1.0, 0.0), (1.0, 40.0)):
+        other = found(sign, from_v)
+        assert other[0] == pytest.approx(sign * breakpoint_v + from_v)
+        assert other[1] == pytest.approx(errors, rel=0.3)  # of eight draws
 
 
 def test_the_errors_of_an_axis_in_the_report_are_those_in_the_model_file():

@@ -375,6 +375,12 @@ def half_swing(records: Sequence[Record]) -> Array:
     return np.asarray(np.max([0.5 * np.ptp(record.u_v, axis=1) for record in records], axis=0))
 
 
+def swing_ends(records: Sequence[Record]) -> tuple[Array, Array]:
+    """Lowest and highest recorded voltage of each input (input,) [V]."""
+    low: Array = np.array([r.u_v.min(axis=1) + r.rest_v for r in records]).min(axis=0)
+    return low, np.array([r.u_v.max(axis=1) + r.rest_v for r in records]).max(axis=0)
+
+
 def refuse_unreached(records: Sequence[Record], grids: Sequence[Array]) -> None:
     """Refuse thresholds that no record engages, and inputs that never move."""
     for name, reach, grid in zip(records[0].inputs, half_swing(records), grids, strict=True):
