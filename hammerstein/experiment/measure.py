@@ -186,7 +186,7 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
 
 
 def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
-    """Say where the reading is off because the sensor lags, not because the actuator is."""
+    """Say where the reading is off because of the sensor, not because the actuator is."""
     bandwidth = setup.plant.instruments.sensor.bandwidth_hz
     seen = [(row.rms_um, row.rms_true_um, row) for row in rows if setup.scenario.reference is not None]
     lagging = [
@@ -197,10 +197,12 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     if math.isinf(bandwidth) or not lagging:
         return []
     reading, true, row = max(lagging, key=lambda found: found[0] - found[1])
+    noise = setup.plant.instruments.sensor.noise_um
+    why = "is noisy" if reading < LAGGING * noise else f"of {bandwidth:g} Hz lags"
     return [
-        f"The sensor of {bandwidth:g} Hz lags: with {row.compensator!r}{row.at}, the rms error on "
-        f"{row.measured_axis} is {reading:.3g} um for its reading, but {true:.3g} um for the true "
-        "position. Judge a compensator by the true position."
+        f"The sensor {why}: with {row.compensator!r}{row.at}, the rms error on {row.measured_axis} is "
+        f"{reading:.3g} um for its reading, but {true:.3g} um for the true position. Judge a "
+        "compensator by the true position."
     ]
 
 
@@ -298,7 +300,8 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])
     for result in results:
         row = result.rows[0]
-        where = f"{row.compensator or setup.plant.model.name}{row.at}, axis {row.excited_axis}"
+        axis = "all axes" if row.excited_axis == "all" else f"axis {row.excited_axis}"
+        where = f"{row.compensator or setup.plant.model.name}{row.at}, {axis}"
         if result.unsettled:
             statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
         if cut := row.saturated_samples:

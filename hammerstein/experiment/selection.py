@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from hammerstein.experiment.report import Report
@@ -28,6 +28,11 @@ class Condition:
             return cls(row.frequency_hz, row.amplitude_um, "um", row.trial)
         return cls(row.frequency_hz, row.amplitude_v, "V", row.trial)
 
+    def only(self, parts: Collection[str]) -> Condition:
+        """Give it without its other parts."""
+        f, a, n = (getattr(self, part) if part in parts else None for part in PARTS)
+        return Condition(f or 0.0, a, self.unit, n)
+
     def words(self) -> str:
         """Say it: ``50 Hz, 10 V``."""
         frequency = [f"{self.frequency_hz:g} Hz"] if self.frequency_hz else []
@@ -43,26 +48,23 @@ def by_condition(rows: Iterable[Row]) -> dict[Condition, list[Row]]:
     return found
 
 
+PARTS = ("frequency_hz", "amplitude", "trial")
+"""Of a condition."""
+
+
+def differing(conditions: Collection[Condition]) -> list[str]:
+    """Those parts that are not equal in all of them."""
+    return [part for part in PARTS if len({getattr(condition, part) for condition in conditions}) > 1]
+
+
 def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:
     """Words for each condition, without the part that is equal in all of them.
 
     >>> list(told_apart([Condition(50.0, 10.0, "V"), Condition(50.0, 5.0, "V")]).values())
     ['10 V', '5 V']
     """
-    one_frequency = len({condition.frequency_hz for condition in conditions}) == 1
-    one_amplitude = len({condition.amplitude for condition in conditions}) == 1
-    one_trial = len({condition.trial for condition in conditions}) == 1
-    if one_frequency and one_amplitude and one_trial:
-        return {condition: condition.words() for condition in conditions}
-    return {
-        condition: Condition(
-            0.0 if one_frequency else condition.frequency_hz,
-            None if one_amplitude else condition.amplitude,
-            condition.unit,
-            None if one_trial else condition.trial,
-        ).words()
-        for condition in conditions
-    }
+    parts = differing(conditions) or PARTS
+    return {condition: condition.only(parts).words() for condition in conditions}
 
 
 @dataclass(frozen=True)
@@ -133,12 +135,12 @@ def significant(value: float) -> str:
     """Write a number with three digits that count, trailing zeros included.
 
     >>> significant(8.0), significant(0.04567), significant(1234.4), significant(1.11e-16)
-    ('8.00', '0.0457', '1234', '1.1e-16')
+    ('8.00', '0.0457', '1234', '< 1e-6')
     """
     if value == 0.0:
         return "0"
     if abs(value) < TINY:
-        return f"{value:.2g}"
+        return f"< {TINY:.0e}".replace("e-0", "e-")
     return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
 
 
@@ -150,9 +152,11 @@ def number(value: float | None) -> str:
 def percent(share: float) -> str:
     """Write a part in percent with two digits that count, and never an exponent.
 
-    >>> percent(0.0378), percent(0.996), percent(1.024)
-    ('3.8 %', '100 %', '102 %')
+    >>> percent(0.0378), percent(0.996), percent(1.024), percent(1e-16)
+    ('3.8 %', '100 %', '102 %', '< 0.0001 %')
     """
+    if 0.0 < abs(share) < TINY:
+        return "< 0.0001 %"
     return f"{100.0 * share:.{'2g' if abs(share) < 0.995 else '0f'}} %"
 
 

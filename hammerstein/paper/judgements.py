@@ -237,6 +237,8 @@ def _judged(
     unmet = own.agrees is False
     changes = tuple(changes_of(claim)) if unmet and not claim.calibrated else ()
     cause, reason = _cause(changes) if unmet else ("", _open(own))
+    if unmet and claim.calibrated:
+        reason = "The actuator was made to meet this claim; no change was tried."
     details = [_cut(claim, rows), _listed(changes), claim.note if own.agrees is not True else ""]
     return ClaimJudgement(
         claim.id,

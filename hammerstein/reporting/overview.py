@@ -131,7 +131,7 @@ def _card(report: Report, out: Path) -> Card:
 def _verdicts(report: Report) -> str:
     """How many judgements there are of each word, such as ``3 met, 1 not met``."""
     counts = Counter(judgement.word for judgement in report.judgements)
-    return ", ".join(f"{count} {word}" for word, count in counts.items())
+    return ", ".join(f"{counts[word]} {word}" for word in sorted(counts))  # met, not met, undecided
 
 
 def _conditions(report: Report) -> str:
@@ -152,7 +152,7 @@ def _span(values: Sequence[float], unit: str) -> str:
 
 def _told(report: Report) -> str:
     """What the numbers of a card are."""
-    words, uncertainty = f"Worst error, {_conditions(report)}", report.scenario.uncertainty
+    words, uncertainty = f"Worst true error, {_conditions(report)}", report.scenario.uncertainty
     if last := _last_trial(report):
         words += f" in trial {last}"
     if report.bands and uncertainty is not None:

@@ -11,13 +11,13 @@ from typing import Any
 
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
 from hammerstein.experiment.report import Report, Trace
-from hammerstein.experiment.selection import identified_at, percent
+from hammerstein.experiment.selection import identified_at, is_path, percent
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
 from hammerstein.reporting.figures.sweep import MOST_CURVES
-from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs, points
+from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs
 from hammerstein.reporting.summary import sentences
 from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
@@ -33,33 +33,29 @@ TITLES = {
     "errors": "Errors over time",
     "drift": "Drift",
     "sensitivity": "Causes of the spread",
-    "path": "Path and axes over time",
+    "path": "Path",
 }
 CAPTIONS = {
     "sensitivity": "Shares of the variance over the drawn actuators, for each compensator, at the condition "
     "with the highest 95 % limit. Dark: the parameter alone. Pale: with its interactions. Thin: 95 % limits. "
     "Correlated errors of the weights of one axis count as one parameter.",
-    "sweep_true": "The true position, without lag and noise of the sensor. One panel for each transfer, one "
-    "curve for each compensator. Axes are logarithmic if the values span more than about a decade.",
-    "sweep": "The sensor's reading. One panel for each transfer, one curve for each compensator or model. "
-    "Axes are logarithmic if the values span more than about a decade.",
-    "trials_true": "Error of the true position, one panel for each measured axis. Trial 1 is without "
-    "learning; each later trial corrects the voltages with the sensor readings of the previous one.",
+    "sweep_true": "One panel for each transfer, one curve for each compensator.",
+    "sweep": "The sensor's reading. One panel for each transfer, one curve for each compensator or model.",
+    "trials_true": "One panel for each measured axis. Trial 1 is without learning; each later trial corrects "
+    "the voltages with the sensor readings of the previous one.",
     "trials": "The same, from the sensor's readings.",
     "operators": "Rms error of models that differ only in their number of play operators.",
     "loops": "One row of panels for each measured axis, one column for each driven axis. Each curve is the "
     "mean of the measured cycles.",
-    "errors": "Error of the true position; for models, the reading minus the prediction. A path shows its "
-    "distance first, on a logarithmic scale if one curve would hide another. More than four compensators "
-    "share several panels of distances. The legend gives the worst error of the whole run, even if the "
-    "figure shows a part of it.",
+    "errors": "The legend gives the worst error of all measured cycles.",
     "drift": "Mean error of the true position over each measured cycle, for the driven axis.",
-    "path": "The path in the plane, then each axis over time; more than four compensators share several "
-    "planes. Thin short dashes show the reference or prediction. The legend gives the worst distance of the "
-    "whole run.",
+    "path": "Short dashes show the reference or prediction. The legend gives the worst distance of all "
+    "measured cycles.",
 }
 
 IS_TRUE = '"True" is the actuator\'s position, without the sensor.'
+NOT_PREDICTED = "An error is the sensor's reading minus the prediction."
+FIRST_DISTANCE = "The distance from the reference has a logarithmic axis where one curve would hide another."
 READS_TRUTH = "The sensor is ideal: it reads the true position."
 
 MOST_STATEMENTS = 15
@@ -136,7 +132,6 @@ def _answer(report: Report) -> Markdown:
         for part in (
             told(sentence.words),
             _small_table([list(map(told, row)) for row in sentence.table]),
-            "" if sentence.table else points(map(told, sentence.points)),
         )
     )
 
@@ -241,7 +236,8 @@ def figure_of(name: str, report: Report) -> Shown:
         **dict.fromkeys(("sweep", "sweep_true"), identified + banded + behind),
         "trials_true": banded,
         "trials": banded,
-        "errors": [READS_TRUTH if report.reads_truth else IS_TRUE] * compared
+        "errors": [READS_TRUTH if report.reads_truth else IS_TRUE if compared else NOT_PREDICTED]
+        + [FIRST_DISTANCE] * (compared and is_path(report))
         + ["Dots are samples, few in each turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])
@@ -322,5 +318,5 @@ def _value(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(_value(v) for v in value)}]"
     if isinstance(value, float):
-        return f"{value:.10g}"
+        return "unlimited" if math.isinf(value) else f"{value:.10g}"
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.selection import (
     Condition,
+    banded_metric,
     by_condition,
     is_direct,
     is_path,
@@ -37,25 +38,16 @@ Quote = Callable[[str], str]
 
 @dataclass(frozen=True)
 class Sentence:
-    """A sentence of an answer; what differs from condition to condition are its points.
+    """A sentence of an answer.
 
-    table : the points as a table: a head, then one row for each compensator or model
+    table : what it introduces: a head, then one row for each compensator, model or run
     """
 
     words: str
-    points: tuple[str, ...] = ()
     table: tuple[tuple[str, ...], ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.words} {'; '.join(self.points)}." if self.points else self.words
-
-
-@dataclass(frozen=True)
-class Merit:
-    """A figure by which compensators and models are compared: its name in a row, and its meaning."""
-
-    name: str
-    words: str
+        return " ".join([self.words, *("; ".join(row) for row in self.table)])
 
 
 def answer(report: Report, quote: Quote = str) -> str:
@@ -113,28 +105,21 @@ def _answered(report: Report, quote: Quote) -> Iterator[str]:
     name = report.scenario.answered_by
     if name is None:
         return
-    found = {}
-    for label in labels_of(report.rows):
-        rows = [row for row in report.rows if row.compensator == label and is_direct(report, row)]
-        values = [value for row in rows if (value := getattr(row, name)) is not None]
-        if values:
-            found[label] = max(values, key=abs)
+    found: dict[str, float] = {}
+    for row in report.rows:
+        if is_direct(report, row) and (value := getattr(row, name)) is not None:
+            found[row.compensator] = max(value, found.get(row.compensator, value), key=abs)
     if found:
         ordered = sorted(found.items(), key=lambda item: abs(item[1]))
-        told = listed([f"{number(value)} with {quote(label)}" for label, value in ordered])
-        yield f"The {METRICS[name].meaning} is {told}."
+        told = ", ".join(f"{quote(label)} {number(value)}" for label, value in ordered)
+        yield f"The {METRICS[name].meaning}: {told}."
 
 
 def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
     """What the drawn actuators do: median and 95 % of the worst condition."""
     if not report.bands or report.scenario.uncertainty is None:
         return
-    path = is_path(report) and len(report.axes) > 1
-    metric, words = (
-        ("euclidean_max_true_um", "worst distance")
-        if path
-        else ("rms_true_um", "rms error of the true position (direct transfers)")
-    )
+    metric, words = banded_metric(report)
     direct = {row.place for row in report.rows if is_direct(report, row)}
     told_bands = [band for band in report.bands if band.metric == metric and band.place in direct]
     trials = sorted({band.trial for band in told_bands}, key=lambda trial: trial or 0)
@@ -145,7 +130,7 @@ def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
     if told_bands:
         draws = report.scenario.uncertainty.draws
         yield (
-            f"For {draws} random actuators, the {words}, median and 95 % limit in the worst run: "
+            f"For {draws} random actuators, the {words} of the true position, median and 95 % limit: "
             f"{'; '.join(clauses)}. For the nominal (undisturbed) actuator:"
         )
 
@@ -167,66 +152,82 @@ def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
     contest = Contest.of(report, quote)
     if is_path(report):
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
-        reading = Merit(f"{prefix}max_um", f"worst {words} of the reading from the {target}")
-        true = Merit(f"{prefix}max_true_um", f"worst {words} of the true position from the {target}")
-        merits = (reading, true) if report.reading_first else (true, reading)
-        yield from _sentences(report.rows, merits[0], contest)
+        name, of = ("max_um", "reading") if report.reading_first else ("max_true_um", "true position")
+        told = f"worst {words} of the {of} from the {target}"
+        yield from _sentences(report.rows, f"{prefix}{name}", told, contest)
         return
     direct = [row for row in report.rows if is_direct(report, row)]
     crossed = [row for row in report.rows if not is_direct(report, row)]
     reads = report.reading_first or report.reads_truth
     name, of = ("rms_um", "") if reads else ("rms_true_um", " of the true position")
-    yield from _sentences(direct, Merit(name, f"rms error{of} (direct transfers)"), contest)
-    yield from _sentences(crossed, Merit(name, f"rms error{of} (cross-couplings)"), contest)
+    if direct and 1 < len(by_condition(report.rows)) <= MOST_CLAUSES:
+        kinds = [{c: _values(r, name) for c, r in by_condition(k).items()} for k in (direct, crossed) if k]
+        yield _table(kinds, ("direct transfers", "cross-couplings"), f"rms error{of}", contest)
+        return
+    yield from _sentences(direct, name, f"rms error{of} (direct transfers)", contest)
+    if not report.bands:  # of drawn actuators, the answer is about their spread
+        yield from _sentences(crossed, name, f"rms error{of} (cross-couplings)", contest)
 
 
-def _sentences(rows: Sequence[Row], merit: Merit, contest: Contest) -> Iterator[Sentence]:
+def _sentences(rows: Sequence[Row], name: str, words: str, contest: Contest) -> Iterator[Sentence]:
     inside = by_condition(rows)
     conditions = sorted(inside, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
-    values = {c: found for c in conditions if (found := _values(inside[c], merit))}
+    values = {c: found for c in conditions if (found := _values(inside[c], name))}
     if 0 < len(values) <= MOST_CLAUSES:
-        yield _one_by_one(values, merit, contest)
+        yield _one_by_one(values, name, words, contest)
     elif values:
         values = {condition: contest.admitted(found) for condition, found in values.items()}
         values = {condition: found for condition, found in values.items() if found}
         if values:
-            yield from map(Sentence, _over_frequency(values, merit, contest))
+            yield from map(Sentence, _over_frequency(values, words, contest))
 
 
-def _values(rows: Iterable[Row], merit: Merit) -> dict[str, float]:
+def _values(rows: Iterable[Row], name: str) -> dict[str, float]:
     """Largest value over the axes by label, smallest first."""
     rows = list(rows)
-    found = {n: largest((row for row in rows if row.compensator == n), merit.name) for n in labels_of(rows)}
+    found = {n: largest((row for row in rows if row.compensator == n), name) for n in labels_of(rows)}
     known = [(label, value) for label, value in found.items() if value is not None]
     return dict(sorted(known, key=lambda item: item[1]))
 
 
-def _one_by_one(values: dict[Condition, dict[str, float]], merit: Merit, contest: Contest) -> Sentence:
-    names = told_apart(list(values))
-    points = []
-    for condition, found in values.items():
-        texts = [f"{contest.named(n)} {number(v)} um{_share(condition, v, merit)}" for n, v in found.items()]
-        if len(texts) > MOST_LABELS:
-            texts = [*texts[: MOST_LABELS - 1], f"largest: {texts[-1]}"]
-        points.append((f"at {names[condition]}: " if len(values) > 1 else "") + ", ".join(texts))
-    if len(points) == 1:
-        return Sentence(f"The {merit.words}: {points[0]}.")
-    compared = any(len(found) > 1 for found in values.values())  # a diagonal is no table
-    return Sentence(f"The {merit.words}:", tuple(points), _table(values, names, contest) if compared else ())
+def _one_by_one(
+    values: dict[Condition, dict[str, float]], name: str, words: str, contest: Contest
+) -> Sentence:
+    if len(values) > 1:
+        return _table([values], ("error",), words, contest)
+    ((condition, found),) = values.items()
+    texts = [f"{contest.named(n)} {number(v)} um{_share(condition, v, name)}" for n, v in found.items()]
+    if len(texts) > MOST_LABELS:
+        texts = [*texts[: MOST_LABELS - 1], f"largest: {texts[-1]}"]
+    return Sentence(f"The {words}: {', '.join(texts)}.")
 
 
 def _table(
-    values: dict[Condition, dict[str, float]], names: dict[Condition, str], contest: Contest
-) -> tuple[tuple[str, ...], ...]:
-    """One row for each label, the best worst value first; one column for each condition."""
-    labels = {label for found in values.values() for label in found}
-    worst = {n: max(found[n] for found in values.values() if n in found) for n in labels}
-    head = ("[um]", *(names[condition] for condition in values))
-    rows = (
-        (contest.named(n), *(number(found.get(n)) for found in values.values()))
-        for n in sorted(labels, key=lambda n: (worst[n], n))
-    )
-    return (head, *rows)
+    kinds: Sequence[dict[Condition, dict[str, float]]], heads: Sequence[str], words: str, contest: Contest
+) -> Sentence:
+    """Figures of one or two kinds: one row for each label, the best worst value first, or for each run."""
+    first = kinds[0]
+    names = told_apart(sorted(first, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0)))
+    worst: dict[str, float] = {}
+    for label, value in [pair for found in first.values() for pair in found.items()]:
+        worst[label] = max(value, worst.get(label, value))
+
+    def figures(condition: Condition, label: str) -> list[str]:
+        return [number(found.get(condition, {}).get(label)) for found in kinds]
+
+    if any(len(found) > 1 for found in first.values()):
+        told = f", {' / '.join(heads)}" if len(kinds) > 1 else ""
+        head = ("[um]", *names.values())
+        labels = sorted(worst, key=lambda n: (worst[n], n))
+        rows = [(contest.named(n), *(" / ".join(filter(None, figures(c, n))) for c in names)) for n in labels]
+        return Sentence(f"The {words}{told}:", (head, *rows))
+    runs = [
+        (c, n, f"{names[c]}, {contest.named(n)}" if len(worst) > 1 else names[c])
+        for c in names
+        for n in first[c]
+    ]
+    head = ("[um]", *heads[: len(kinds)])
+    return Sentence(f"The {words}:", (head, *((name, *figures(c, n)) for c, n, name in runs)))
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -238,16 +239,14 @@ def listed(texts: Sequence[str]) -> str:
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
-def _share(condition: Condition, value: float, merit: Merit) -> str:
+def _share(condition: Condition, value: float, name: str) -> str:
     """The worst distance as a part of the path's size."""
-    if not condition.amplitude or condition.unit != "um" or "max" not in merit.name:
+    if not condition.amplitude or condition.unit != "um" or "max" not in name:
         return ""
     return f" ({percent(value / condition.amplitude)})"
 
 
-def _over_frequency(
-    values: dict[Condition, dict[str, float]], merit: Merit, contest: Contest
-) -> Iterator[str]:
+def _over_frequency(values: dict[Condition, dict[str, float]], words: str, contest: Contest) -> Iterator[str]:
     """Who has the smallest value where, and the course of the best one on the whole."""
     names = told_apart(list(values))
     winners = [next(iter(found)) for found in values.values()]
@@ -257,18 +256,14 @@ def _over_frequency(
         key=lambda label: _typical(values, label),
     )
     course = {names[condition]: found[best] for condition, found in values.items() if best in found}
-    tags = {next(iter(course)): ""}
-    tags |= {
-        min(course, key=course.__getitem__): " (smallest)",
-        max(course, key=course.__getitem__): " (largest)",
-    }
-    told = listed([f"{number(course[at])} um at {at}{tag}" for at, tag in tags.items()])
+    ends = (min(course, key=course.__getitem__), max(course, key=course.__getitem__))
+    told = " to ".join(f"{number(course[at])} um ({at})" for at in dict.fromkeys(ends))
     if not compared:
-        yield f"The {merit.words} is {told}."
+        yield f"The {words} is {told}."
         return
     first = _ranges(list(names.values()), winners, contest.winner)
     course_of = "" if len(set(winners)) == 1 and best == winners[0] else f"{contest.quote(best)} "
-    yield f"Smallest {merit.words}: {first}; {course_of}{told}."
+    yield f"Smallest {words}: {first}; {course_of}{told}."
 
 
 def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
@@ -288,7 +283,8 @@ def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
         return f"{quote(winners[0])} throughout"
     if len(groups) > MOST_CLAUSES:
         order = sorted(dict.fromkeys(winners), key=winners.count, reverse=True)
-        return listed([f"{quote(n)} in {winners.count(n)} of {len(winners)} runs" for n in order])
+        counts = [f"{quote(n)} in {winners.count(n)}" for n in order]
+        return listed([f"{counts[0]} of {len(winners)} runs", *counts[1:]])
     return listed(
         [
             f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
@@ -325,6 +321,8 @@ def _grouped(runs: Sequence[str]) -> str:
         label, _, place = run.rpartition(" at ")
         hertz = re.match(r"([\d.e+-]+) Hz", place)
         found.setdefault(label or run, []).extend([float(hertz[1])] if hertz else [])
+    if len(found) >= MOST_LABELS:
+        return f"{len(found)} methods{_spread([f for hertz in found.values() for f in hertz])}, listed below"
     return "; ".join(f"{label}{_spread(hertz)}" for label, hertz in found.items())
 
 
@@ -357,11 +355,7 @@ def _conduct(report: Report) -> Iterator[str]:
     cut = sum(bool(row.saturated_samples) for row in runs.values())
     clipped = sum(SENSOR_CUT in statement for statement in report.statements)
     unsettled = [text.partition(": ")[0] for text in report.statements if NOT_SETTLED in text]
-    yield (
-        f"The drive's range cut the voltage in {cut} of {len(runs)} runs."
-        if cut
-        else ("The drive's range cut no voltage.")
-    )
+    yield f"The drive's range cut {f'the voltage in {cut} of {len(runs)} runs' if cut else 'no voltage'}."
     if clipped:
         yield f"The sensor's range cut the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal

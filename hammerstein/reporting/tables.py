@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 from hammerstein.escaping import Markdown
 from hammerstein.experiment.report import TOO_FEW, Band, Report, Sensitivity
 from hammerstein.experiment.selection import (
+    PARTS,
     Condition,
     banded_metric,
+    differing,
     identified_at,
     is_path,
     number,
@@ -97,20 +99,29 @@ def _lines(rows: Sequence[Row]) -> dict[tuple[str, Condition], list[Row]]:
     return lines
 
 
+def _keys(rows: Sequence[Row]) -> list[str]:
+    """What tells the lines of a table apart: the label, and the parts of the conditions that differ."""
+    found = set(map(Condition.of, rows))
+    return ["label"] * any(row.compensator for row in rows) + differing(found)
+
+
+def _place(rows: Sequence[Row]) -> str:
+    """What all lines have in common, for the title: `` at 50 Hz, 20 um``."""
+    keys = _keys(rows)
+    words = Condition.of(rows[0]).only([part for part in PARTS if part not in keys]).words()
+    return f" at {words}" if words else ""
+
+
 def _key_header(report: Report, rows: Sequence[Row]) -> tuple[str, ...]:
-    condition = Condition.of(rows[0])
     source = "compensator" if report.scenario.reference is not None else "model"
-    names = [source] if any(row.compensator for row in rows) else []
-    names += ["frequency [Hz]"] if any(row.frequency_hz for row in rows) else []
-    names += [] if condition.amplitude is None else [f"amplitude [{condition.unit}]"]
-    return (*names, *([] if condition.trial is None else ["trial"]))
+    amplitude = f"amplitude [{Condition.of(rows[0]).unit}]"
+    words = {"label": source, "frequency_hz": "frequency [Hz]", "amplitude": amplitude, "trial": "trial"}
+    return tuple(words[key] for key in _keys(rows))
 
 
-def _key_cells(rows: Sequence[Row], label: str, condition: Condition) -> tuple[str, ...]:
-    cells = [label] if any(row.compensator for row in rows) else []
-    cells += [f"{condition.frequency_hz:.6g}"] if any(row.frequency_hz for row in rows) else []
-    cells += [] if condition.amplitude is None else [f"{condition.amplitude:g}"]
-    return (*cells, *([] if condition.trial is None else [str(condition.trial)]))
+def _key_cells(keys: Sequence[str], label: str, condition: Condition) -> tuple[str, ...]:
+    values = [label if key == "label" else getattr(condition, key) for key in keys]
+    return tuple(f"{v:.6g}" if isinstance(v, float | int) else v or "" for v in values)
 
 
 def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
@@ -127,39 +138,39 @@ def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, re
         *(f"{axis}, rms / worst" for axis in report.axes),
         *present.values(),
     )
-    lines = []
+    lines, keys = [], _keys(rows)
     for (label, condition), inside in _lines(rows).items():
         axes = [_rms_and_worst(row, which) for row in inside]
         figures = [number(getattr(inside[0], name)) for name in present]
-        lines.append((*_key_cells(rows, label, condition), *axes, *figures))
-    return NumberTable(f"{title} [um]", header, tuple(lines), remark)
+        lines.append((*_key_cells(keys, label, condition), *axes, *figures))
+    return NumberTable(f"{title}{_place(rows)} [um]", header, tuple(lines), remark)
 
 
 def _transfer_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
     """One column a transfer, as rms / worst."""
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     header = (*_key_header(report, rows), *(_transfer(report, *transfer) for transfer in transfers))
-    lines = []
+    lines, keys = [], _keys(rows)
     for (label, condition), inside in _lines(rows).items():
         found = {(row.excited_axis, row.measured_axis): _rms_and_worst(row, which) for row in inside}
         cells = [found.get(transfer, "") for transfer in transfers]
-        lines.append((*_key_cells(rows, label, condition), *cells))
-    return NumberTable(f"{title}, rms / worst [um]", header, tuple(lines), remark)
+        lines.append((*_key_cells(keys, label, condition), *cells))
+    return NumberTable(f"{title}{_place(rows)}, rms / worst [um]", header, tuple(lines), remark)
 
 
 def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     """A line for each transfer: how high and wide its loop is, gain and phase of its first harmonic."""
     unit = "um/V" if report.scenario.drive is not None else "um/um"
     figures = ("height [um]", "width [um]", "width [%]", f"gain [{unit}]", "phase [deg]")
-    lines = []
+    lines, keys = [], _keys(rows)
     for row in rows:
         values = (row.height_um, row.width_um, row.width_percent, row.gain)
-        phase = "" if row.phase_deg is None else f"{row.phase_deg:.1f}"
+        phase = "" if row.phase_deg is None else f"{row.phase_deg:z.1f}"
         transfer = _transfer(report, row.excited_axis, row.measured_axis)
         cells = (*(number(value) for value in values), phase)
-        lines.append((*_key_cells(rows, row.compensator, Condition.of(row)), transfer, *cells))
+        lines.append((*_key_cells(keys, row.compensator, Condition.of(row)), transfer, *cells))
     header = (*_key_header(report, rows), "transfer", *figures)
-    return NumberTable("Loops of the sensor's reading", header, tuple(lines), remark)
+    return NumberTable(f"Loops of the sensor's reading{_place(rows)}", header, tuple(lines), remark)
 
 
 def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
@@ -170,16 +181,16 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     transfers = transfers[:1] if path else transfers
     names = ["all axes"] if path else [_transfer(report, *transfer) for transfer in transfers]
-    lines = []
+    lines, keys = [], _keys(rows)
     for (label, condition), inside in _lines(rows).items():
         found = {(row.excited_axis, row.measured_axis): bands.get(row.place) for row in inside}
         cells = [_band(found.get(transfer)) for transfer in transfers]
-        lines.append((*_key_cells(rows, label, condition), *cells))
+        lines.append((*_key_cells(keys, label, condition), *cells))
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
     title = (
-        f"Spread over the drawn actuators: {words} of the true position, median (5 to 95 % of {draws} "
-        f"draws, which contain at least {100.0 * share_held(draws):.0f} % of such actuators with 95 % "
-        "confidence) [um]"
+        f"Spread over the drawn actuators{_place(rows)}: {words} of the true position, median (5 to 95 % of "
+        f"{draws} draws, which contain at least {100.0 * share_held(draws):.0f} % of such actuators with "
+        "95 % confidence) [um]"
     )
     return NumberTable(title, (*_key_header(report, rows), *names), tuple(lines), remark)
 
@@ -190,16 +201,16 @@ def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTa
     own = [found for found in report.sensitivities if found.metric == metric]
     parameters = list(dict.fromkeys(found.parameter for found in own))
     known = {(*found.place, found.parameter): found for found in own}
-    lines = []
+    lines, keys = [], _keys(rows)
     for row in rows:
         found = [known.get((*row.place, parameter)) for parameter in parameters]
         if any(found):
             transfer = _transfer(report, row.excited_axis, row.measured_axis)
-            key = _key_cells(rows, row.compensator, Condition.of(row))
+            key = _key_cells(keys, row.compensator, Condition.of(row))
             lines.append((*key, transfer, *(_index(one) for one in found)))
     title = (
-        f"Causes of the spread: share of the variance of the {words} of the true position, for each "
-        f"parameter with its interactions (95 % limits); {TOO_FEW}: the parameter alone has more"
+        f"Causes of the spread{_place(rows)}: share of the variance of the {words} of the true position, for "
+        f"each parameter with its interactions (95 % limits); {TOO_FEW}: the parameter alone has more"
     )
     header = (*_key_header(report, rows), "transfer", *parameters)
     return NumberTable(title, header, tuple(lines), remark)

@@ -1,6 +1,6 @@
 "use strict";
 // Tables sort by a click on a header and filter by words. Without scripts they are as they are.
-const number = text => /^\s*\(?-?[\d.]/.test(text) ? parseFloat(text.replace(/^[\s(]+/, "")) : NaN;
+const number = text => /^[\s(<]*-?[\d.]/.test(text) ? parseFloat(text.replace(/^[\s(<]+/, "")) : NaN;
 const compare = (a, b) => {
   const x = number(a), y = number(b);
   return isNaN(x) && isNaN(y) ? a.localeCompare(b) : isNaN(x) ? 1 : isNaN(y) ? -1 : x - y;

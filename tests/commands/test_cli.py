@@ -85,7 +85,7 @@ def test_the_table_counts_a_cut_sample_once_and_names_no_frequency_of_a_file(fol
     assert line.split()[:2] == ["cut", "fast"]
     assert line.split()[-1] == str(samples)
     assert len(line.split()) == 6  # no frequency
-    assert f"fast, axis all: the drive's range cut {samples} samples" in report
+    assert f"fast, all axes: the drive's range cut {samples} samples" in report
 
 
 def test_two_runs_write_the_same_bytes(folder):

@@ -319,6 +319,16 @@ def test_a_sensor_lags_where_the_reading_is_off_twice_as_far_as_the_position(rea
     assert bool(_sensor_lag(set_up(_scenario(actuator="duo_bimorph", **content)), [row])) == told
 
 
+def test_a_slow_sensor_is_noisy_and_does_not_lag():
+    """At 1 Hz a sensor of 2000 Hz lags by 0.01 um, and its noise is 0.04 um."""
+    sine = {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 1.0, "axis": 1}
+    law = {"label": "inverse", "law": "exact_inverse", "model": "duo_bimorph"}
+    asked = _scenario(actuator="duo_bimorph", reference=sine, compensators=[law])
+    row = Row("inverse", "x", "x", 1.0, figures={"rms_um": 0.042, "rms_true_um": 0.002})
+    (text,) = _sensor_lag(set_up(asked), [row])
+    assert text.startswith("The sensor is noisy: ")
+
+
 LONG = {"measure": {"settle_cycles": 3, "measured_cycles": 4}}
 PATH = {"kind": "lissajous", "amplitude_um": 20.0, "frequency_x_hz": 60.0, "frequency_y_hz": 40.0}
 

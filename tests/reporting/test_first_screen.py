@@ -55,16 +55,21 @@ def test_many_reports_end_in_fifteen_lines(reports: list[Report], tmp_path: Path
 
 
 @pytest.mark.parametrize("alone", [True, False])
-def test_compensators_that_meet_nowhere_are_no_table(alone: bool) -> None:
-    """One number in each row and column: a list says the same without a screen of empty cells."""
+def test_compensators_that_meet_nowhere_leave_no_cell_empty(alone: bool) -> None:
+    """One number in each row and column: its rows are the runs, without a screen of empty cells."""
     found = []
     for hz in (50.0, 100.0):
         law = {"label": f"at {hz:g}", "law": "exact_inverse", "model": "duo_bimorph_static"}
         found.append(law | ({"only_at_hz": [hz]} if alone else {}))
     asked = _content(SINE) | {"sweep": {"frequency_hz": [50.0, 100.0]}, "compensators": found}
-    told = [one for one in sentences(run(asked)) if one.points]
-    assert told
-    assert all(bool(one.table) != alone for one in told)
+    (table,) = [one.table for one in sentences(run(asked)) if one.table]
+    assert all(map(all, table))
+    assert table[0] == (
+        ("[um]", "direct transfers", "cross-couplings") if alone else ("[um]", "50 Hz", "100 Hz")
+    )
+    assert {row[0] for row in table[1:]} == (
+        {"50 Hz, at 50", "100 Hz, at 100"} if alone else {"at 50", "at 100"}
+    )
 
 
 def test_a_headline_leaves_out_what_the_range_alone_decides(tmp_path: Path) -> None:
@@ -72,7 +77,7 @@ def test_a_headline_leaves_out_what_the_range_alone_decides(tmp_path: Path) -> N
     swept = run(_content(CIRCLE) | {"sweep": {"radius_um": [20, 52]}}, "swept")
     line = digest([swept], tmp_path)[1]
     words, _, value = line.removesuffix(" um (exact)").rpartition(": ")
-    assert words == "swept: worst error, circle, 20 um, 50 Hz"
+    assert words == "swept: worst true error, circle, 20 um, 50 Hz"
     assert float(value) < 0.5
     write_overview([swept], tmp_path)
     assert "beyond the drive's range: 52 um" in (tmp_path / "index.html").read_text(encoding="utf-8")

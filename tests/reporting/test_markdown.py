@@ -125,12 +125,11 @@ def test_conditions_of_an_answer_are_points_of_a_list() -> None:
     )  # fmt: skip
     page = render(with_rms(two, lambda label, f: f / (10.0 if label == "paper" else 5.0)))
     assert (
-        "\nThe rms error (direct transfers):\n\n"
+        "\nThe rms error, direct transfers / cross-couplings:\n\n"
         "| [um] | 20 Hz | 50 Hz |\n"
         "| --- | ---: | ---: |\n"
-        "| *paper* | 2.00 | 5.00 |\n"
-        "| *none* | 4.00 | 10.0 |\n\n"
-        "The rms error (cross-couplings):\n"
+        "| *paper* | 2.00 / 0.200 | 5.00 / 0.500 |\n"
+        "| *none* | 4.00 / 0.400 | 10.0 / 1.00 |\n"
     ) in page
 
 
@@ -164,14 +163,14 @@ def test_answer_tells_who_is_best_where_and_the_course_of_the_best() -> None:
     text = answer(with_rms(swept(), rms))
     assert text.startswith(
         "Smallest rms error (direct transfers): paper from 10 Hz to 30 Hz and none "
-        "(no compensator is better) from 40 Hz to 60 Hz; paper 11.0 um at 10 Hz, 1.00 um at 20 Hz "
-        "(smallest) and 41.0 um at 60 Hz (largest). Smallest rms error (cross-couplings): "
+        "(no compensator is better) from 40 Hz to 60 Hz; paper 1.00 um (20 Hz) to 41.0 um (60 Hz). "
+        "Smallest rms error (cross-couplings): "
     )
 
 
 def test_answer_counts_where_the_best_changes_too_often() -> None:
     text = answer(with_rms(swept(), lambda label, f: float((f % 20.0 == 0.0) == (label == "paper")) + 1.0))
-    assert ": paper in 3 of 6 runs and none (no compensator is better) in 3 of 6 runs; " in text
+    assert ": paper in 3 of 6 runs and none (no compensator is better) in 3; " in text
 
 
 def test_answer_describes_loops_where_there_is_nothing_to_compare_with() -> None:
@@ -203,6 +202,17 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     assert "more cycles do not help" in answer(creeping)
 
 
+def test_many_loops_that_had_not_settled_are_counted_and_named_below() -> None:
+    said = tuple(f"law {k} at {10 * k} Hz, axis x: the loop has not settled; try." for k in range(1, 6))
+    text = answer(replace(circle(), statements=said))
+    assert "the loop had not settled: 5 methods (5 runs, 10 to 50 Hz), listed below. " in text
+    assert "law 1 (1 run, 10 Hz); law 2" in answer(replace(circle(), statements=said[:3]))
+
+
+def test_an_answer_about_drawn_actuators_is_about_their_spread() -> None:
+    assert "cross-couplings" not in answer(uncertain())
+
+
 def test_a_law_that_does_not_converge_never_wins() -> None:
     said = "paper: The inner iteration does not converge: slopes -2.77 to 15.2 um/V, spectral radius 1.182."
     best = with_rms(swept(), lambda label, f: 1.0 if label == "paper" else 15.0)
@@ -218,8 +228,8 @@ def test_the_figure_that_the_scenario_names_answers_first() -> None:
     report, name = circle(), "radial_max_true_um"
     asked = replace(report, scenario=report.scenario.model_copy(update={"answered_by": name}))
     values = {row.compensator: row.radial_max_true_um for row in report.rows}
-    told = " and ".join(f"{number(values[n])} with {n}" for n in sorted(values, key=values.__getitem__))
-    assert answer(asked).startswith(f"The {METRICS[name].meaning} is {told}.")
+    told = ", ".join(f"{n} {number(values[n])}" for n in sorted(values, key=values.__getitem__))
+    assert answer(asked).startswith(f"The {METRICS[name].meaning}: {told}.")
 
 
 @cache
@@ -253,22 +263,14 @@ def test_tables_hold_the_rows() -> None:
     row = next(
         r for r in report.rows if (r.compensator, r.excited_axis, r.measured_axis) == ("none", "y", "x")
     )
-    assert reading.header == (
-        "compensator",
-        "frequency [Hz]",
-        "amplitude [um]",
-        "x to x",
-        "x to y",
-        "y to x",
-        "y to y",
-    )
-    assert reading.lines[1][:3] == ("none", "50", "40")
-    assert reading.lines[1][5] == f"{number(row.rms_um)} / {number(row.max_um)}"
-    assert true.lines[1][5] == f"{number(row.rms_true_um)} / {number(row.max_true_um)}"
-    assert "reading" in reading.title
+    assert reading.header == ("compensator", "x to x", "x to y", "y to x", "y to y")
+    assert reading.lines[1][0] == "none"
+    assert reading.lines[1][3] == f"{number(row.rms_um)} / {number(row.max_um)}"
+    assert true.lines[1][3] == f"{number(row.rms_true_um)} / {number(row.max_true_um)}"
+    assert "reading against the reference at 50 Hz, 40 um, rms" in reading.title
     assert "true position" in true.title
-    line = next(line for line in loops.lines if line[0] == "none" and line[3] == "y to x")
-    assert line[4:] == (
+    line = next(line for line in loops.lines if line[:2] == ("none", "y to x"))
+    assert line[2:] == (
         number(row.height_um),
         number(row.width_um),
         number(row.width_percent),
@@ -315,8 +317,23 @@ def test_a_longer_sweep_is_shown_at_its_ends_and_where_models_were_identified(
 def test_a_loop_that_several_models_share_is_shown_once() -> None:
     report = report_of(drive=SINE_V, models=[MODEL, MODEL | {"label": "other"}])
     *_, loops = number_tables(report)
-    assert loops.header[0] == "frequency [Hz]"
+    assert loops.header[0] == "transfer"
     assert len(loops.lines) == 4
+
+
+def test_what_all_rows_share_is_in_the_title_and_what_differs_is_a_column() -> None:
+    report = report_of(drive=SINE_V, sweep={"frequency_hz": [20.0, 50.0]}, models=[MODEL])
+    errors, *_, loops = number_tables(report)
+    assert errors.header[:2] == ("model", "frequency [Hz]")
+    assert " at 10 V, rms / worst" in errors.title
+    assert (loops.header[:2], loops.title) == (("frequency [Hz]", "transfer"), f"{LOOPS} at 10 V")
+
+
+def test_a_phase_that_rounds_to_zero_has_no_sign() -> None:
+    report = report_of(drive=SINE_V)
+    rows = tuple(replace(row, figures={**row.figures, "phase_deg": -0.01}) for row in report.rows)
+    *_, loops = number_tables(replace(report, rows=rows))
+    assert {line[-1] for line in loops.lines} == {"0.0"}
 
 
 def test_spread_of_an_uncertain_actuator_is_shown() -> None:
@@ -378,11 +395,17 @@ def test_how_it_was_run_is_told_without_clock_and_place(tmp_path: Path) -> None:
     assert "frequency_hz = 50" in cells(line)[3]
 
 
+def test_a_sensor_without_a_limit_of_bandwidth_is_told_in_words() -> None:
+    page = render(report_of(drive=SINE_V, instruments={"sensor": {"bandwidth_hz": float("inf")}}))
+    assert "`bandwidth_hz = unlimited`" in page
+
+
 def test_a_model_file_is_named_without_its_folder() -> None:
     source = {"label": "given", "law": "exact_inverse", "model": "duo_bimorph_static"}
     assert "| file duo_bimorph_static |" in render(report_of(reference=CIRCLE, compensators=[source]))
 
 
+LOOPS = "Loops of the sensor's reading"
 CLAIM = {
     "id": "C1",
     "statement": "The loop of x is 2 x 58 um high",
