@@ -192,6 +192,15 @@ Name = Annotated[
 Plain = Annotated[JsonValue, AfterValidator(_finite_throughout)]
 
 
+def length(um: float, digits: int = 3) -> str:
+    """Position or error in um; below 10 pm it is rounding.
+
+    >>> length(0.0123456), length(-4.5e-12)
+    ('0.0123', '0')
+    """
+    return f"{round(um, 5):z.{digits}g}"
+
+
 def size(number: float) -> str:
     """Bytes in words.
 
@@ -207,8 +216,8 @@ def duration(seconds: float) -> str:
     >>> duration(900.0), duration(9000.0), duration(1e6)
     ('15 minutes', '2.5 hours', '12 days')
     """
-    for unit, length in (("days", 86400.0), ("hours", 3600.0)):
-        if seconds >= 2.0 * length:
-            number = seconds / length
+    for unit, span in (("days", 86400.0), ("hours", 3600.0)):
+        if seconds >= 2.0 * span:
+            number = seconds / span
             return f"{number:.2g} {unit}" if number < 99 else f"{number:,.0f} {unit}"
     return f"{seconds / 60.0:.0f} minutes" if seconds >= 90.0 else f"{seconds:.2g} seconds"

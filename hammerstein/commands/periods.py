@@ -123,22 +123,12 @@ def write_ilc_update(
         raise InputError(
             "--uncertainty", f"{uncertainty!r} must be two relative standard deviations, such as 0.05,0.01"
         )
-    found, taught = learn_from_files(
-        asked.model,
-        asked.path,
-        asked.law,
-        asked.options,
-        trial,
-        ModelUncertainty(*deviations),
-        asked.terms,
-        asked.onlooker,
-        before,
-    )
+    work = (asked.model, asked.path, asked.law, asked.options, trial, ModelUncertainty(*deviations))
+    found, taught = learn_from_files(*work, asked.terms, asked.onlooker, before)
     about, errors, text = asked.table.form(found)
     asked.write(text, found)
     figures = {"error_rms_um": taught.error_rms_um, "noise_um": taught.noise_um, "rms_um": errors}
-    said = [taught.statement(), *about]
-    _tell(asked, {"finished": taught.finished, **figures}, said, "next period")
+    _tell(asked, {"finished": taught.finished, **figures}, [taught.statement(), *about], "next period")
 
 
 def _tell(asked: Period, figures: dict[str, Any], said: list[str], what: str) -> None:

@@ -11,6 +11,7 @@ from hammerstein.experiment.report import Report
 from hammerstein.experiment.selection import is_direct
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import duration, length, size
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -68,8 +69,6 @@ def result_table(reports: Iterable[Report]) -> Table:
 
 def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
     """One line for each part of each scenario, with memory and time, and a total."""
-    from hammerstein.quantities import duration, size
-
     table = _table("Planned runs, without cached results", PLANNED)
     for name, plan in plans.items():
         for part in plan.parts:
@@ -129,13 +128,13 @@ def compensation_table(found: Compensation) -> Table:
     for o, (axis, figures) in enumerate(summary["axes"].items()):
         voltage = _span(summary["inputs"][inputs[o]]["drive_v"]) if o < len(inputs) else ""
         unreached = str(summary["unreached_samples"][inputs[o]]) if o < len(inputs) else ""
-        cells = [_span(figures[n]) if n in intervals else f"{figures[n]:.4g}" for n in names]
+        cells = [_span(figures[n]) if n in intervals else length(figures[n], 4) for n in names]
         table.add_row(axis, voltage, unreached, *cells)
     return table
 
 
 def _span(ends: Sequence[float]) -> str:
-    return f"{ends[0]:.4g} ... {ends[1]:.4g}"
+    return f"{length(ends[0], 4)} ... {length(ends[1], 4)}"
 
 
 def fit_table(fit: Fit) -> Table:

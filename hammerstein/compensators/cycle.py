@@ -27,6 +27,7 @@ from hammerstein.dynamics import linearised, on_grid
 from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import length
 from hammerstein.signals import smooth_step
 
 TRIED_PERIODS = (4, 8, 16, 32)  # periods after which a drive may have settled
@@ -96,7 +97,7 @@ class Cycle:
             f"once. Largest step {step:.3g} V; without the run-up the first step is {jump:.3g} V.",
             f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
             f"first period after the run-up, with ringing, {first}. The settled position repeats "
-            f"within {self.closure_um:.2g} um.",
+            f"within {length(self.closure_um, 2)} um.",
         ]
         return [*said, self.statement] if self.statement else said
 
@@ -122,7 +123,7 @@ class Cycle:
 def _worst(cycle: Cycle, position_um: Array) -> str:
     """Error of a period for each output."""
     return ", ".join(
-        f"{name} {rms(row):.3g} um rms, {np.abs(row).max():.3g} um at most"
+        f"{name} {length(rms(row))} um rms, {length(np.abs(row).max())} um at most"
         for name, row in zip(cycle.model.outputs, position_um - cycle.reference_um, strict=True)
     )
 
@@ -161,6 +162,7 @@ class Design:
     reference_um: Array
     source: str
     path: str
+    resampled: str
 
     def cycle(self, asked_v: Array, terms: Terms) -> Cycle:
         """One period of these voltages on the steps of the converter, if they are allowed.
@@ -183,7 +185,7 @@ class Design:
         position, closure = settled_position(play, sent, limits.start_v, time_s)
         way, _ = converter.apply(run_up(sent, limits.start_v, time_s))
         first = play(np.concatenate([way, sent], axis=1))[:, way.shape[1] :]
-        said = self.law.statement()
+        said = f"{self.resampled} {self.law.statement()}".strip()
         return Cycle(
             model, limits, time_s, self.reference_um, sent, position, closure, self.source, said, way, first
         )
@@ -202,10 +204,10 @@ def design_of(
     refuse_flagged(model, source, terms)
     limits = allowed_range(model, terms)
     time_s = model.instruments.drive.sample_time_s
-    _, reference, _ = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units)
+    _, path_um, found = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units)
     onlooker.tell("computing the period")
     built = sensorless_law(law, options, model, limits, time_s)
-    return Design(model, limits, built, reference, source, str(path))
+    return Design(model, limits, built, path_um, source, str(path), found)
 
 
 def cycle_of(

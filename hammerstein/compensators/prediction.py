@@ -12,9 +12,7 @@ from hammerstein.arrays import Array
 from hammerstein.compensators.attempt import Attempt
 from hammerstein.compensators.path_file import half_span_v, travel_um
 from hammerstein.model import HammersteinModel
-
-NOTHING_UM = 1e-6
-"""A picometre: less is the rounding of numbers."""
+from hammerstein.quantities import length
 
 
 def model_error_um(model: HammersteinModel) -> Array | None:
@@ -86,7 +84,7 @@ class Prediction:
 
     def _of(self, o: int, name: str) -> str:
         path, parts, more = float(self.path[o]), [], ""
-        parts.append(f"path {path:.2g}" if path > NOTHING_UM else "path 0")
+        parts.append(f"path {length(path, 2)}")
         if self.model is None:
             parts, more = [*parts, "model untested"], " without the error of the model"
         else:

@@ -16,6 +16,7 @@ from hammerstein.compensators.lead_in import lead_in
 from hammerstein.compensators.reach import Reach
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import length
 
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0  # frequencies tried, and how far below Nyquist
 SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)
@@ -41,7 +42,7 @@ class Missed:
 
     def statement(self) -> str:
         """Limit, excess and place in the first line, remedies in the second."""
-        listed = ", ".join(f"{option} ({error:.2g} um)" for error, option in self.remedies())
+        listed = ", ".join(f"{option} ({length(error, 2)} um)" for error, option in self.remedies())
         alone = "" if "," in listed else "; or use a smaller or slower path"
         return f"{self._limits_hit()}\nRemedies, with the remaining error: {listed}{alone}."
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from hammerstein.blocks.axis_names import unique
 from hammerstein.records.checks import refuse_large
-from hammerstein.signals.units import is_unit
+from hammerstein.signals.signal_files import OF_TIME
+from hammerstein.signals.units import is_unit, unit_in, unit_of
 
 UNIT_NAMES = ("unit_string", "units", "unit")
 """Attributes that hold a unit, without regard to case: of National Instruments, and of most HDF5 files."""
@@ -112,7 +113,10 @@ def _cell(cell: Any) -> float:
 
 
 def tdms_channels(path: Path) -> Variables:
-    """Channels of a TDMS file: by name, behind that of their group where there are several groups."""
+    """Channels of a TDMS file: by name, behind that of their group where there are several groups.
+
+    The sample time of waveforms is their clock, ``time_s``, where they share one and no channel is a clock.
+    """
     from nptdms import TdmsFile
 
     with TdmsFile.read_metadata(path) as file:
@@ -134,6 +138,12 @@ def tdms_channels(path: Path) -> Variables:
             refuse_large((len(channel),))
             return channel[:]
 
-    return {
+    found = {
         name: Variable(partial(load, group, channel), unit) for name, (group, channel, unit) in places.items()
     }
+    waves = {(channel.properties.get("wf_increment"), len(channel)) for channel in channels.values()}
+    step, samples = waves.pop() if len(waves) == 1 else (None, 0)
+    kinds = {unit.kind for name, place in places.items() if (unit := unit_of(place[2]) or unit_in(name))}
+    if step and "time" not in kinds and {place[1].lower() for place in places.values()}.isdisjoint(OF_TIME):
+        found["time_s"] = Variable(lambda: np.arange(samples) * step, "s")
+    return found

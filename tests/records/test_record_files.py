@@ -534,6 +534,21 @@ class TestLoggers:
         np.testing.assert_array_equal(record.y_um[0], X)
         assert "it has u_x, x" in message(read, tmp_path / "a.tdms", inputs=["v"])
 
+    @pytest.mark.parametrize(("clock", "rate_hz"), [(False, 1e4), (True, 2e4)])
+    def test_waveforms_of_tdms_bring_their_clock(self, tmp_path, clock, rate_hz):
+        """A channel of time goes before the increment, which some loggers leave at its default."""
+        names = [("u_x", U), ("x", X), *[("Time", np.arange(len(U)) / 2e4)] * clock]
+        with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+            wave = {"wf_increment": 1e-4}
+            file.write_segment([nptdms.ChannelObject("log", n, v, wave) for n, v in names])
+        (record,) = read_records(
+            [tmp_path / "a.tdms"], inputs=["u_x"], outputs=["x"], time="Time" if clock else None
+        )
+        assert record.rate_hz == pytest.approx(rate_hz)
+        if not clock:
+            told = message(read_records, [tmp_path / "a.tdms"], inputs=["u_x"], outputs=["x"], rate_hz=3e4)
+            assert "which is 10000 Hz" in told
+
     def test_plain_hdf5_by_path(self, tmp_path):
         with h5py.File(tmp_path / "a.h5", "w") as file:
             file["run/volts"] = U
