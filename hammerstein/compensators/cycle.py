@@ -97,7 +97,7 @@ class Cycle:
             f"once. Largest step {step:.3g} V; without the run-up the first step is {jump:.3g} V.",
             f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
             f"first period after the run-up, with ringing, {first}. The settled position repeats "
-            f"within {length(self.closure_um, 2)} um.",
+            f"within {length(max(self.closure_um, 1e-5), 2)} um.",
         ]
         return [*said, self.statement] if self.statement else said
 

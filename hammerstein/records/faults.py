@@ -7,6 +7,7 @@ they are and once with what the fault would add. A fault is named only where tha
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from hammerstein.records.excitation import driven_inputs, run_in
 from hammerstein.records.noise import noise_rms
 from hammerstein.records.outliers import FITTED, Products, regressors
 from hammerstein.records.record import Record
+from hammerstein.signals.units import spoken
 
 PLAYS = 16  # of the fit by which drift and bending are judged
 REMAINS = 0.25
@@ -101,7 +103,7 @@ def faults(record: Record) -> list[Fault]:
         row = record.y_um[o, ::stride][first:]
         trial = _Trial.of(x, row - row.mean())
         rows = record.rows[::stride][first:]
-        drift_um, whose = _drift(trial, largest), f"{name} of {record.source}"
+        drift_um, whose = _drift(trial, largest), f"{spoken(name)} of {PurePath(record.source).name}"
         if drift_um:
             text = _drift_text(drift_um, rows, record)
             found.append(Fault(record.source, (name,), f"{whose} {text}", drift_um=drift_um))

@@ -18,6 +18,9 @@ MOST_FIGURES = 30
 """Of one page: more load too slowly."""
 
 
+MOST_CHANGED = "At most three rows are drawn, those that changed most."
+
+
 def check_page(result: CheckResult) -> str:
     """HTML page of a check; equal results give equal bytes."""
     from hammerstein.reporting.figures.moved import courses_of, moved_figure
@@ -31,7 +34,8 @@ def check_page(result: CheckResult) -> str:
     for number, (check, metric) in enumerate(wanted):
         courses = courses_of(metric, check.accepted, check.now, check.tolerances)
         drawn[f"{number}.svg"] = svg_of(moved_figure(courses, metric))
-        shown[check.name].append(Shown(f"{number}", f"{check.name}: {metric}, baseline and now").markdown())
+        title = f"{check.name}: {metric}, baseline and now"
+        shown[check.name].append(Shown(f"{number}", title, MOST_CHANGED).markdown())
     failed = sum(not check.passed for check in result.checks)
     return Page(
         heading=Markdown(TITLE),
@@ -49,10 +53,5 @@ def _metrics(check: ScenarioCheck) -> Iterator[str]:
     moved = [finding for finding in check.findings if finding.kind is Kind.MOVED]
     moved.sort(key=lambda finding: -finding.excess)
     names = list(dict.fromkeys(finding.metric for finding in moved))[:MOST_METRICS]
-    if names:
-        yield from names
-        return
-    both = {
-        name for key, numbers in check.accepted.items() for name in numbers if name in check.now.get(key, {})
-    }
-    yield from [name for name in (*FIRST_SHOWN, *sorted(both)) if name in both][:1]
+    both = {name for key, old in check.accepted.items() for name in old if name in check.now.get(key, {})}
+    yield from names or [name for name in (*FIRST_SHOWN, *sorted(both)) if name in both][:1]

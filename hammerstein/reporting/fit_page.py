@@ -22,6 +22,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged, staged_beside
+from hammerstein.signals.units import spoken
 
 FIT = Owner("fit")
 MODEL = Owner("model", single=True)
@@ -174,7 +175,8 @@ def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> lis
 def _error(fit: Fit) -> str:
     """Rms error of each output, and the largest as a share of the range."""
     score = fit.judged[fit.kind]
-    each = ", ".join(f"{um:.3g} um on {name}" for name, um in zip(fit.outputs, score.rms_um, strict=True))
+    pairs = zip(map(spoken, fit.outputs), score.rms_um, strict=True)
+    each = ", ".join(f"{um:.3g} um on {name}" for name, um in pairs)
     worst = percent(max(score.nrmse_percent) / 100.0)
     records = "validation records" if fit.validation else "fitted records"
     return f"Rms error: {each}; at most {worst} of the range ({records})."

@@ -139,6 +139,17 @@ def axis_name(column: str) -> str:
     return match["name"].strip(" _") or (column if is_word else BASE[unit.kind])
 
 
+def spoken(name: str) -> str:
+    """Name of a column in a sentence: a bare number says little.
+
+    Examples
+    --------
+    >>> spoken("3"), spoken("X (um)"), spoken("[V]")
+    ('column 3', 'X', '[V]')
+    """
+    return f"column {name}" if name.isdigit() else without_unit(name) or name
+
+
 def without_unit(name: str) -> str:
     """Name of a column without the unit in brackets or behind a slash, for a label that has its own.
 

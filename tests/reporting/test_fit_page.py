@@ -47,6 +47,16 @@ def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds(
     assert len(tested) == len(alone) == 5
     headings = [line for line in fit_page(*fits[0]).markdown().splitlines() if line.startswith("## ")]
     assert headings[-1] == "## Thresholds"
+    zeros = [line for line in fit_page(*fits[0]).markdown().splitlines() if "| 0 |" in line]
+    assert zeros
+    assert all(line.endswith("| fixed |") for line in zeros)  # not "open": nothing is to be determined
+
+
+def test_a_column_that_is_a_number_is_called_a_column(fits: tuple[Found, Found]) -> None:
+    model, fit = fits[0]
+    page = fit_page(model, replace(fit, outputs=("5", "x [um]")))
+    assert " um on column 5, " in page.markdown()
+    assert " um on x; " in page.markdown()
 
 
 def test_the_residual_of_the_kept_model_is_the_one_solid_line(fits: tuple[Found, Found]) -> None:
@@ -55,6 +65,7 @@ def test_the_residual_of_the_kept_model_is_the_one_solid_line(fits: tuple[Found,
     lines = {line.get_linestyle(): line for line in over_hz.lines}
     assert len(lines) == len(over_hz.lines)
     assert lines["-"].get_zorder() == max(line.get_zorder() for line in over_hz.lines)
+    assert all("e-" not in tick.get_text() for tick in over_hz.get_yticklabels())
     assert over_time.get_title("right") == KIND_NAMES[fit.kind]
     assert over_hz.get_title("right") == "all models"
 
@@ -83,6 +94,7 @@ def test_a_gain_that_is_scatter_is_not_drawn_and_a_flat_one_has_no_peaks(fits: t
     for o in range(2):
         for axes in panels[3 * o : 3 * o + 2]:
             for line in axes.lines:
+                assert not line.get_clip_on()  # a marker at the end of the axis is whole
                 np.testing.assert_allclose(line.get_xdata(), hz[:3])
             low, high = axes.get_ylim()
             assert high >= 1.49 * low

@@ -173,7 +173,7 @@ def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:
                 if kept:  # others may leave a hundred times as much, and would hide it
                     _draw_over_time(row[0], left[kind][o], record.sample_time_s, style, most)
                 (line,) = row[1].plot(*spectrum(left[kind][o], record.sample_time_s), **style)
-                entries[KIND_NAMES[kind] + (", kept" if kept else "")] = line
+                entries[KIND_NAMES[kind] + (", chosen" if kept else "")] = line
             _, unit = time_axis(record.sample_time_s * record.samples)
             row[0].set(ylabel=f"error of {axis_label(fit.outputs[o], 'µm')}", xlabel=unit)
             row[1].set(ylabel="amplitude [µm]", xlabel="frequency [Hz]", xscale="log", yscale="log")
@@ -277,11 +277,8 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
         panels = figure.subplots(p, m + 1, squeeze=False)
         entries: dict[str, Artist] = {}
         for number, ((o, k), axes) in enumerate(np.ndenumerate(panels)):
-            letter(
-                axes,
-                number,
-                f"{column_words(fit.inputs[k])} to {column_words(fit.outputs[o])}" if k < m else "coherence",
-            )
+            pair = [*map(column_words, (*fit.inputs[k : k + 1], fit.outputs[o]))]
+            letter(axes, number, " to ".join(pair) if k < m else "coherence")
             axes.set(xscale="log", xlabel="frequency [Hz]")
             axes.set_xlim(measured.frequency_hz[0], measured.frequency_hz[-1])
             plain_numbers(axes.xaxis)
@@ -306,5 +303,5 @@ def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) 
     style = line_style(number) | {"marker": "" if len(values) > LINES else "o", "linewidth": 1.2}
     every = sparse_markers(len(values), number, 40)
     x, y = thin_trace(frequency_hz, np.maximum(values, LEAST), 2 * LINES)
-    (line,) = axes.plot(x, y, markevery=every, **style)
+    (line,) = axes.plot(x, y, markevery=every, clip_on=False, **style)  # markers at the ends stay whole
     return line

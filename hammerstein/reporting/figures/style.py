@@ -20,7 +20,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.compiled import uncollected
 from hammerstein.escaping import clean
-from hammerstein.signals.units import is_unit, without_unit
+from hammerstein.signals.units import is_unit, spoken
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -193,7 +193,7 @@ def column_words(column: str) -> str:
     >>> column_words("3"), column_words("X (um)")
     ('column 3', 'X')
     """
-    return f"column {column}" if column.isdigit() else plain(without_unit(column) or column)
+    return plain(spoken(column))
 
 
 def axis_label(column: str, unit: str) -> str:
@@ -250,7 +250,7 @@ def few_ticks(axes: Axes) -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as 0.1, 1, 10; between them 2 and 4 if there is room; evenly if few fit."""
+    """Ticks of a logarithmic axis as 0.0001, 10; between them 2 and 4 if there is room; evenly if few fit."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     low, high = axis.get_view_interval()
@@ -259,7 +259,7 @@ def plain_numbers(axis: Axis) -> None:
         axis.set_major_locator(MaxNLocator(nbins=5, steps=(1, 2, 5, 10)))
     else:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0) if decades < 2.2 else (1.0,)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: np.format_float_positional(value, 10, trim="-")))
     axis.set_minor_locator(NullLocator())
 
 
