@@ -47,9 +47,15 @@ def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds(
     assert len(tested) == len(alone) == 5
     headings = [line for line in fit_page(*fits[0]).markdown().splitlines() if line.startswith("## ")]
     assert headings[-1] == "## Thresholds"
-    zeros = [line for line in fit_page(*fits[0]).markdown().splitlines() if "| 0 |" in line]
-    assert zeros
-    assert all(line.endswith("| fixed |") for line in zeros)  # not "open": nothing is to be determined
+
+
+def test_a_threshold_of_zero_is_fixed_and_not_open(
+    fits: tuple[Found, Found], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [("u", 0.0, None), ("u", 1.5, None), ("u", 2.5, 0.1)]
+    monkeypatch.setattr("hammerstein.reporting.fit_page._thresholds", lambda model: found)
+    page = fit_page(*fits[0]).markdown()
+    assert "| u | 0 | fixed |\n| u | 1.5 | open |\n| u | 2.5 | 0.1 |\n" in page
 
 
 def test_a_column_that_is_a_number_is_called_a_column(fits: tuple[Found, Found]) -> None:
