@@ -74,8 +74,8 @@ def _body(found: Comparison) -> Markdown:
         header=HEADER,
         lines=[(entry, cells(entry)) for entry in found.entries],
         rule=found.rule,
-        settling=f"{SETTLING:.1%}",
-        headroom=f"{HEADROOM:.0%}",
+        settling=f"{100.0 * SETTLING:g} %",
+        headroom=f"{100.0 * HEADROOM:g} %",
         faults=faults,
     ).strip()
 

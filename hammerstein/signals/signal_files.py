@@ -45,7 +45,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
         raise InputError(
             str(path),
             "needs a header with a column time_s (or for example t [ms]) and one column for each "
-            f"axis; its first line is {first[:SHOWN]!r}",
+            f"axis, none of them a number; its first line is {first[:SHOWN]!r}",
         )
     values, rows, mistakes = read_text(path, layout, range(layout.width), names)
     if mistakes:

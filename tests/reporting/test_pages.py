@@ -321,6 +321,15 @@ def test_a_desk_shows_a_drawing_as_it_was_laid_out(folder: Path, page: Page, nam
         assert len(panels) < 2 or any(panel["left"] > panels[0]["right"] - 12.0 for panel in panels)
 
 
+@pytest.mark.parametrize(("width", "wrapped"), [(400, "anywhere"), (1400, "break-word")])
+def test_names_in_a_table_of_words_are_broken_on_a_telephone_alone(
+    folder: Path, page: Page, width: int, wrapped: str
+) -> None:
+    """A column may be as narrow as its longest word, not as a letter: `linear_gain.j son`."""
+    opened(page, folder / "plain/swept/report.html", width)
+    assert page.value("getComputedStyle(document.querySelector('.words td')).overflowWrap") == wrapped
+
+
 @pytest.mark.parametrize("width", [400, 1000, 1400])
 def test_the_table_of_claims_is_as_wide_as_the_page(folder: Path, page: Page, width: int) -> None:
     opened(page, folder / "plain/swept/report.html", width)
