@@ -59,10 +59,16 @@ def stage(working_point_v=0.0, smallest_v=0.4):
     )
 
 
-def loop(curved=False):
-    """Two axes with plays, and products of what drives them, in the loop of a state space of order five."""
+def loop(curved=False, moves=1):
+    """Two axes with plays, and products of what drives them, in the loop of a state space of order five.
+
+    moves : of the plays in a sample
+    """
     rng = np.random.default_rng(7)
-    shapes = {"B": (5, 2), "C": (2, 5), "D": (2, 2), "E": (5, 2), "F": (3, 5), "G": (3, 2)}
+    shapes = {"B": (5, 2), "C": (2, 5), "D": (2, 2)}
+    shapes |= {"E": (5, 2 * moves), "F": (3 * moves, 5), "G": (3 * moves, 2)}
+    if moves == 2:
+        shapes["H"] = 3, 2
     matrices = {name: 0.2 * rng.normal(size=shape) for name, shape in shapes.items()}
     grid, absent = [0.0, 0.4, 1.5], Pair.absent()
     gamma = PrandtlIshlinskii(
@@ -263,6 +269,7 @@ def _cases():
     yield Export("parallel model", parallel(), "model")
     yield Export("loop model", loop(), "model")
     yield Export("curved loop model", loop(curved=True), "model")
+    yield Export("loop model that moves twice", loop(curved=True, moves=2), "model")
     others = {
         "asymmetric": asymmetric(),
         "generalised": generalised(),

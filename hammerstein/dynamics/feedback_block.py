@@ -30,10 +30,18 @@ class FeedbackBlock(SteppedBlock, ByValue):
     There is no algebraic loop: z does not depend on w of the same sample, so w[k] is exact and not that of
     the sample before. In continuous time w is held over a sample, as u is.
 
+    With an H, Gamma moves twice in a sample: to the z after the jump of u, and to that of its end,
+
+        z2[k] = F2 x[k] + G2 u[k] + H w[k],    x[k+1] = A x[k] + B u[k] + E w[k] + E2 w2[k],
+
+    so that w can be linear within a sample, as in Heun's rule. F and G hold the rows of both moves, E the
+    columns of both. At ten samples per period of a resonance, a held w was the largest error of stacks.
+
     The state (n + memory,) is x, followed by what Gamma remembers: its plays, or the numbers of any other
     kind's memory. Zero is the block at rest.
 
-    A : (n, n), B : (n, m), C : (p, n), D : (p, m), E : (n, q), F : (h, n), G : (h, m)
+    A : (n, n), B : (n, m), C : (p, n), D : (p, m), E : (n, v q), F : (v h, n), G : (v h, m) for v moves
+    H : (h, q), or (0, q) where Gamma moves once, as where it is not given
     products : of z, none if not given
     hysteresis : h inputs, q outputs
     sample_time_s : 0 for matrices in continuous time, to be put on a grid by ``held``
@@ -51,9 +59,12 @@ class FeedbackBlock(SteppedBlock, ByValue):
     hysteresis: Hysteresis[Any]
     sample_time_s: float
     products: InputProducts = field(default=None)  # type: ignore[assignment]  # none of them
+    H: Array = field(default=None)  # type: ignore[arg-type]  # one move
 
     def __post_init__(self) -> None:
-        freeze_fields(self, *"ABCDEFG")
+        if self.H is None:
+            object.__setattr__(self, "H", np.zeros((0, self.hysteresis.n_outputs)))
+        freeze_fields(self, *"ABCDEFGH")
         if self.products is None:
             none = InputProducts.none(self.hysteresis.n_inputs, self.hysteresis.n_outputs)
             object.__setattr__(self, "products", none)
@@ -67,8 +78,29 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
     def with_gain(self, gain: Array) -> LinearBlock:
         """Give the linear block with a gain (q, h) in place of Gamma."""
-        a, b = self.A + self.E @ gain @ self.F, self.B + self.E @ gain @ self.G
-        return LinearBlock(a, b, self.C, self.D, self.sample_time_s)
+        both = self.beside(gain)
+        return LinearBlock(both.A, both.B[:, : self.n_inputs], self.C, self.D, self.sample_time_s)
+
+    def beside(self, gain: Array) -> LinearBlock:
+        """From u and d (v q,) to y and z (v h,), where w is d and a gain (q, h) times z, at every move."""
+        late = self.late
+        gains = np.kron(np.eye(self.moves), gain)
+        z = np.linalg.solve(np.eye(len(late)) - late @ gains, np.hstack([self.F, self.G, late]))
+        n, pushed = len(self.A), self.E @ gains @ z
+        a, b = self.A + pushed[:, :n], np.hstack([self.B, self.E]) + pushed[:, n:]
+        d = np.vstack([np.hstack([self.D, np.zeros((len(self.D), len(late.T)))]), z[:, n:]])
+        return LinearBlock(a, b, np.vstack([self.C, z[:, :n]]), d, self.sample_time_s)
+
+    @property
+    def moves(self) -> int:
+        """How often Gamma moves in a sample."""
+        return 1 + bool(len(self.H))
+
+    @property
+    def late(self) -> Array:
+        """What z takes of w (v h, v q): at the second move the first w."""
+        (rows, q), h = self.H.shape, len(self.F) - len(self.H)
+        return np.block([[np.zeros((h, self.E.shape[1]))], [self.H, np.zeros((rows, self.E.shape[1] - q))]])
 
     def linearised_at(self, u: Array) -> LinearBlock:
         """Return the linear block with the gains that slow settled loops from -u to u (m,) have."""
@@ -94,9 +126,9 @@ class FeedbackBlock(SteppedBlock, ByValue):
             sizes = np.maximum(np.abs(z), LEAST_SIZE * np.abs(u).max())
             gain = self.hysteresis.amplitude(sizes) / sizes
             block = self.with_gain(gain)
-            pushed = block.B @ u + self.E @ self.products.at(z)
+            pushed = block.B @ u + self.E @ np.tile(self.products.at(z), self.moves)
             x = np.linalg.lstsq(held - block.A, pushed, rcond=None)[0]
-            z = self.F @ x + self.G @ u
+            z = (self.F @ x + self.G @ u)[: len(z)]
         return gain, np.asarray(self.C @ x + self.D @ u)
 
     def held(self, sample_time_s: float, late_s: float = 0.0) -> FeedbackBlock:
@@ -193,16 +225,19 @@ class FeedbackBlock(SteppedBlock, ByValue):
         for t in range(first, stop):
             u = u_v[:, t]
             y_um[:, t] = self.C @ x + self.D @ u
-            z = self.F @ x + self.G @ u
-            w, memory = self.hysteresis.step(z, memory)
-            x = self.A @ x + self.B @ u + self.E @ (w + self.products.at(z))
+            z, w = self.F @ x + self.G @ u, np.zeros(0)
+            for move in z.reshape(self.moves, -1):
+                z_now = move + self.H @ w if len(w) else move
+                more, memory = self.hysteresis.step(z_now, memory)
+                w = np.concatenate([w, more + self.products.at(z_now)])
+            x = self.A @ x + self.B @ u + self.E @ w
         state[:n], state[n:] = x, self.packing.pack(memory.as_dict())
 
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:
-        """Non-zero entries of [[F, G, 0], [A, B, E], [C, D, 0]] row by row."""
+        """Non-zero entries of [[F, G, late], [A, B, E], [C, D, 0]] row by row."""
         q = self.E.shape[1]
-        rows = [[self.F, self.G, np.zeros((len(self.F), q))], [self.A, self.B, self.E]]
+        rows = [[self.F, self.G, self.late], [self.A, self.B, self.E]]
         full = np.block([*rows, [self.C, self.D, np.zeros((self.n_outputs, q))]])
         filled = full != 0.0
         start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)

@@ -74,8 +74,9 @@ class FeedbackHysteresisDynamics(MatrixForm):
 
         x' = A x + B u + E w,    z = F x + G u,    w = Gamma(z) + products,    y = C x + D u
 
-    x' is x of the next sample where a sample time is given. Stiffness and damping follow the amplitude, as in
-    a voltage-driven piezo, whose hysteresis is between voltage and charge (Goldfarb and Celanovic, IEEE
+    x' is x of the next sample where a sample time is given. With H, Gamma moves twice in a sample, and E, F
+    and G are those of both moves, see ``FeedbackBlock``. Stiffness and damping follow the amplitude, as in a
+    voltage-driven piezo, whose hysteresis is between voltage and charge (Goldfarb and Celanovic, IEEE
     Control Systems 17(3), 1997).
     """
 
@@ -83,18 +84,23 @@ class FeedbackHysteresisDynamics(MatrixForm):
     E: Matrix
     F: Matrix
     G: Matrix
+    H: Matrix | None = Field(default=None, description="what the second z of a sample takes of the first w")
     hysteresis: Annotated[HysteresisFile, HYSTERESIS.field(), Field(description="inside the loop")]
     products: ProductsFile | None = Field(default=None, description="of the products of hysteresis inputs")
 
     def _shapes(self) -> dict[str, tuple[int, int]]:
         gamma, n = self.hysteresis.hysteresis(), len(self.A)
-        h, q = gamma.n_inputs, gamma.n_outputs
-        return super()._shapes() | {"E": (n, q), "F": (h, n), "G": (h, self.n_inputs)}
+        h, q, moves = gamma.n_inputs, gamma.n_outputs, 2 if self.H else 1
+        more = {"H": (h, q)} if self.H else {}
+        both = {"E": (n, moves * q), "F": (moves * h, n), "G": (moves * h, self.n_inputs)}
+        return super()._shapes() | both | more
 
     @model_validator(mode="after")
     def _products_fit(self) -> Self:
         gamma = self.hysteresis.hysteresis()
         h, q = gamma.n_inputs, gamma.n_outputs
+        if self.H and self.sample_time_s is None:
+            raise ValueError("H belongs to the two moves in a sample: give the sample_time_s")
         if self.products and any(len(term.weights) != q for term in self.products.terms):
             raise ValueError(f"every product must have {q} weights, one for each output of the hysteresis")
         if self.products and len(self.products.limits) != h:
@@ -110,8 +116,8 @@ class FeedbackHysteresisDynamics(MatrixForm):
         products: InputProducts | None = None,
         **matrices: ArrayLike,
     ) -> FeedbackHysteresisDynamics:
-        """Keep matrices A to G and a hysteresis; ValueError where their shapes do not fit."""
-        rows = {name: tuple(map(tuple, np.asarray(m).tolist())) for name, m in matrices.items()}
+        """Keep matrices A to H and a hysteresis; ValueError where their shapes do not fit."""
+        rows = {name: tuple(map(tuple, np.asarray(m).tolist())) or None for name, m in matrices.items()}
         curved = ProductsFile.of(products) if products else None
         return cls(**rows, hysteresis=hysteresis.file(), sample_time_s=sample_time_s, products=curved)
 

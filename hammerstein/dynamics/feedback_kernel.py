@@ -11,13 +11,14 @@ at = np.uint64  # an index of unsigned type is not tested for Python's counting 
 
 @compiled()
 def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
-    """z, x[k+1], y[k] = [[F, G, 0], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
+    """z, x[k+1], y[k] = [[F, G, H], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
 
     Weighted products of z, as parts of their limits and within them, are added to w.
 
-    The rows of z come first: w follows from them within the sample, and no row of z holds w.
+    The rows of z come first: w follows from them within the sample. There are h for every move of the plays,
+    and those of a move hold w of the moves before alone.
 
-    start : (h+n+o+1,) first entry of each row; column, value : (entry,)
+    start : (v h+n+o+1,) first entry of each row; column, value : (entry,)
     r : (h, J) thresholds, filled up with infinity; weight : (h, J, q)
     touched : (h, 2) first and last + 1 of the w that a z moves
     limit : (h,); factors : (M, 3) which z a product is of, h where there is none; K : (q, M) weights
@@ -25,17 +26,19 @@ def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x
     """
     n, m, (h, most), q = x.shape[0], u.shape[0], r.shape, weight.shape[2]
     outputs, products = y.shape[0], factors.shape[0]
+    rows = start.shape[0] - 1 - n - outputs
     part = np.ones(h + 1)
-    now, later = np.zeros(n + m + q), np.zeros(n + m + q)
+    now, later = np.zeros(n + m + rows * q), np.zeros(n + m + rows * q)
     for i in range(n):
         now[i] = x[i]
     for t in range(first, end):
         for j in range(m):
             now[at(n + j)] = u[at(j), at(t)]
-        for j in range(q):
+        for j in range(rows // h * q):
             now[at(n + m + j)] = 0.0
+        here, w = 0, n + m
         e = at(start[0])
-        for i in range(h + n + outputs):
+        for i in range(rows + n + outputs):
             a, b, c, total, stop = 0.0, 0.0, 0.0, 0.0, at(start[at(i + 1)])
             while e + at(3) < stop:  # four sums at once: none waits for the one before
                 a += value[e] * now[at(column[e])]
@@ -47,24 +50,27 @@ def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x
             while e < stop:
                 total += value[e] * now[at(column[e])]
                 e += at(1)
-            if i < h:
-                part[at(i)] = max(min(total / limit[at(i)], 1.0), -1.0)
-                low, high = touched[at(i), 0], touched[at(i), 1]
+            if i < rows:
+                part[at(here)] = max(min(total / limit[at(here)], 1.0), -1.0)
+                low, high = touched[at(here), 0], touched[at(here), 1]
                 for j in range(most):
-                    play = max(total - r[at(i), at(j)], min(total + r[at(i), at(j)], p[at(i), at(j)]))
-                    p[at(i), at(j)] = play
+                    reach = r[at(here), at(j)]
+                    play = max(total - reach, min(total + reach, p[at(here), at(j)]))
+                    p[at(here), at(j)] = play
                     for o in range(low, high):
-                        now[at(n + m + o)] += weight[at(i), at(j), at(o)] * play
-                if i == h - 1:
+                        now[at(w + o)] += weight[at(here), at(j), at(o)] * play
+                here += 1
+                if here == h:
                     for j in range(products):
                         product = part[at(factors[at(j), 0])] * part[at(factors[at(j), 1])]
                         product *= part[at(factors[at(j), 2])]
                         for o in range(q):
-                            now[at(n + m + o)] += K[at(o), at(j)] * product
-            elif i < h + n:
-                later[at(i - h)] = total
+                            now[at(w + o)] += K[at(o), at(j)] * product
+                    here, w = 0, w + q
+            elif i < rows + n:
+                later[at(i - rows)] = total
             else:
-                y[at(i - h - n), at(t)] = total
+                y[at(i - rows - n), at(t)] = total
         now, later = later, now
     for i in range(n):
         x[i] = now[i]

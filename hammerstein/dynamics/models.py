@@ -350,8 +350,8 @@ def linear(dynamics: Dynamics) -> Linear:
     if isinstance(dynamics, WithLoop):
         raise InputError(
             "dynamics",
-            f"{dynamics.kind} is not linear, but linear dynamics are needed here; simulate it, or "
-            "identify a cascade from its records",
+            f"{dynamics.kind} is not linear, but linear dynamics are needed here; simulate it, export it "
+            "with --law model, or identify a cascade from its records",
         )
     return dynamics
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import FeedbackBlock, LinearBlock
+from hammerstein.dynamics.products import InputProducts
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import (
     Asymmetric,
@@ -271,11 +272,7 @@ def _(hysteresis: RateDependent, state: RateState) -> CPart:
         ),
         indices=(Table("operators", bank.n, "Plays of each input."),),
         start={"play": state.plays_v, "before": state.last_v, "rate": state.rate_v_per_s},
-        values={
-            "n_plays": bank.r.shape[1],
-            "hysteresis": "rate_dependent",
-            "helpers": ("least", "most"),
-        },
+        values={"n_plays": bank.r.shape[1], "hysteresis": "rate_dependent", "helpers": ("least", "most")},
     )
 
 
@@ -376,11 +373,7 @@ def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:
             Size("SEGMENTS", segments, "largest number of segments of an input"),
         ),
         tables=(
-            Table(
-                "threshold",
-                bank.r,
-                "Thresholds [V]: input, operator; padded with infinite ones.",
-            ),
+            Table("threshold", bank.r, "Thresholds [V]: input, operator; padded with infinite ones."),
             Table("slope", bank.slope, "Summed weights of the first j operators [um/V]: input, j, output."),
             Table("moment", bank.moment, "The same sums of weight times threshold [um]: input, j, output."),
         ),
@@ -399,10 +392,7 @@ def linear_part(block: LinearBlock) -> CPart:
             Size("ENTRIES", len(value), "nonzero entries of its matrix"),
         ),
         tables=(Table("entry", value, "Entries of the linear block [[A, B], [C, D]]."),),
-        indices=(
-            Table("row", row, "Row of each entry."),
-            Table("column", column, "Column of each entry."),
-        ),
+        indices=(Table("row", row, "Row of each entry."), Table("column", column, "Column of each entry.")),
         start={"x": np.zeros(n)} if n else {},
         values={"n_states": n, "dynamics": "linear"},
     )
@@ -426,7 +416,7 @@ def _(block: FeedbackBlock) -> CPart:
     gamma = block.hysteresis
     if not isinstance(gamma, PrandtlIshlinskii):
         raise InputError("export", f"hysteresis of kind {gamma.kind} in the loop has no C code; plays have")
-    n, bank, products = len(block.A), gamma.bank, block.products
+    n, bank = len(block.A), gamma.bank
     loops, plays, outputs = bank.w.shape
     start, column, value = block.entries
     fours = np.diff(start) // 4
@@ -436,31 +426,14 @@ def _(block: FeedbackBlock) -> CPart:
             Size("LOOPS", loops, "inputs of the hysteresis in the loop"),
             Size("LOOP_PLAYS", plays, "largest number of plays of each of them"),
             Size("LOOP_OUTPUTS", outputs, "of that hysteresis"),
-            Size("LOOP_WIDTH", n + block.n_inputs + outputs, "of x, v and w together"),
+            Size("LOOP_WIDTH", n + block.n_inputs + block.moves * outputs, "of x, v and w together"),
             Size("REST", 3, "largest number of entries of a row outside groups of four"),
-            Size(
-                "MOST_FOURS", int(fours.max(initial=0)), "largest number of groups of four entries in a row"
-            ),
-            *(
-                (Size("PRODUCTS", len(products.factors), "of inputs of the loops"),)
-                if products.factors.size
-                else ()
-            ),
+            Size("MOST_FOURS", int(fours.max(initial=0)), "most groups of four entries in a row"),
         ),
         tables=(
-            Table("entry", value, "Nonzero entries of [[F, G, 0], [A, B, E], [C, D, 0]]."),
-            Table(
-                "loop_threshold", bank.r, "Thresholds in the loop: input, play; padded with infinite ones."
-            ),
+            Table("entry", value, "Nonzero entries of [[F, G, H], [A, B, E], [C, D, 0]]."),
+            Table("loop_threshold", bank.r, "Thresholds in the loop: input, play; padded with infinity."),
             Table("loop_weight", bank.w, "Their weights: input, play, output."),
-            *(
-                (
-                    Table("loop_limit", products.limit, "Limit of an input of the loop in products."),
-                    Table("product_weight", products.weights, "Weights of each product: output, product."),
-                )
-                if products.factors.size
-                else ()
-            ),
         ),
         indices=(
             Table("row_start", start, "First entry of each row."),
@@ -468,19 +441,30 @@ def _(block: FeedbackBlock) -> CPart:
             Table("column", column, "Columns of the entries."),
             Table("touched_first", block.touched[:, 0], "First output that an input of the loop moves."),
             Table("touched_stop", block.touched[:, 1], "Index after the last one."),
-            *(
-                (Table("factor", products.factors, "Inputs of the loops that are multiplied."),)
-                if products.factors.size
-                else ()
-            ),
         ),
         start={"x": np.zeros(n), "loop_play": np.zeros((loops, plays))},
         values={
             "n_states": n,
             "n_loops": loops,
             "n_loop_plays": plays,
-            "n_products": len(products.factors),
+            "n_moves": block.moves,
             "dynamics": "loop",
             "helpers": ("least", "most"),
         },
+    ) + _products(block.products)
+
+
+def _products(products: InputProducts) -> CPart:
+    """Products of inputs of the loops; nothing where there are none."""
+    count = len(products.factors)
+    if not count:
+        return CPart(values={"n_products": 0})
+    return CPart(
+        sizes=(Size("PRODUCTS", count, "of inputs of the loops"),),
+        tables=(
+            Table("loop_limit", products.limit, "Limit of an input of the loop in products."),
+            Table("product_weight", products.weights, "Weights of each product: output, product."),
+        ),
+        indices=(Table("factor", products.factors, "Inputs of the loops that are multiplied."),),
+        values={"n_products": count},
     )

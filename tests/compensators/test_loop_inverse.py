@@ -15,8 +15,10 @@ from hammerstein.compensators.drive_file import Terms, compensation_of
 from hammerstein.dynamics import (
     ElastoSlip,
     ElectromechanicalDynamics,
+    FeedbackBlock,
     FeedbackHysteresisDynamics,
     StackAxis,
+    on_grid,
 )
 from hammerstein.dynamics.products import InputProducts
 from hammerstein.errors import InputError, SimulationError
@@ -90,6 +92,20 @@ def test_the_model_stands_on_the_path():
     )
     assert (before - wanted).std() > 0.03 * wanted.std()
     assert (after - wanted).std() < 1e-3 * wanted.std()
+
+
+def test_the_model_stands_on_the_path_where_its_hysteresis_moves_twice_in_a_sample():
+    """The loop of one stack on its grid, with w linear within a sample."""
+    once = on_grid(stacks().dynamics, TIME_S)
+    assert isinstance(once, FeedbackBlock)
+    f, g, e = once.F @ once.A, once.F @ once.B + once.G, 0.5 * once.E
+    dynamics = FeedbackHysteresisDynamics.of(
+        once.hysteresis, sample_time_s=TIME_S, A=once.A, B=once.B, C=once.C, D=once.D, E=np.hstack([e, e]),
+        F=np.vstack([once.F, f]), G=np.vstack([once.G, g]), H=once.F @ once.E,
+    )  # fmt: skip
+    model, wanted = replace(stacks(), dynamics=dynamics), path()
+    found = model.simulate(law_of(model).drive_for(wanted), TIME_S).position_um
+    assert (found - wanted).std() < 1e-3 * wanted.std()
 
 
 def test_waves_beyond_the_resonances_are_followed_where_passes_alone_lead_away():

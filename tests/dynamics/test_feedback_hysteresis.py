@@ -18,12 +18,15 @@ RNG = np.random.default_rng(30)
 TIME_S = 1e-4
 
 
-def matrices(n=6, m=2, h=2, q=2, seed=1):
-    """Random stable matrices A to G of a discrete block with two outputs."""
+def matrices(n=6, m=2, h=2, q=2, seed=1, moves=1):
+    """Random stable matrices A to G of a discrete block with two outputs, and H for two moves in a sample."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(n, n))
     a *= 0.9 / np.abs(np.linalg.eigvals(a)).max()
-    shapes = {"B": (n, m), "C": (2, n), "D": (2, m), "E": (n, q), "F": (h, n), "G": (h, m)}
+    shapes = {"B": (n, m), "C": (2, n), "D": (2, m)}
+    shapes |= {"E": (n, moves * q), "F": (moves * h, n), "G": (moves * h, m)}
+    if moves == 2:
+        shapes["H"] = h, q
     return {"A": a} | {name: 0.3 * rng.normal(size=shape) for name, shape in shapes.items()}
 
 
@@ -43,13 +46,19 @@ def written_out(m, gamma, u):
     """Outputs by the equations as they are written, Gamma a function of the whole past of z."""
     x, z_past, y = np.zeros(len(m["A"])), [], []
     for k in range(u.shape[1]):
-        z_past.append(m["F"] @ x + m["G"] @ u[:, k])
+        z = m["F"] @ x + m["G"] @ u[:, k]
+        z_past.append(z[:2])
+        w = gamma(np.array(z_past).T)
+        if "H" in m:
+            z_past.append(z[2:] + m["H"] @ w)
+            w = np.concatenate([w, gamma(np.array(z_past).T)])
         y.append(m["C"] @ x + m["D"] @ u[:, k])
-        x = m["A"] @ x + m["B"] @ u[:, k] + m["E"] @ gamma(np.array(z_past).T)
+        x = m["A"] @ x + m["B"] @ u[:, k] + m["E"] @ w
     return np.array(y).T
 
 
-def test_follows_its_equations():
+@pytest.mark.parametrize("moves", [1, 2])
+def test_follows_its_equations(moves):
     u = RNG.normal(size=(2, 60)).cumsum(axis=1)
     weights, thresholds = 0.02 * np.array([1.0, 0.5, 0.25]), np.array([0.0, 0.5, 1.5])
     mix = np.array([[1.0, 0.3], [-0.2, 0.8]])
@@ -58,8 +67,8 @@ def test_follows_its_equations():
         each = [weights @ [theory.play(row, r)[-1] for r in thresholds] for row in z]
         return mix @ each
 
-    expected = written_out(matrices(), gamma, u)
-    found, _ = block(plays()).respond(u)
+    expected = written_out(matrices(moves=moves), gamma, u)
+    found, _ = block(plays(), **matrices(moves=moves)).respond(u)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
 
 
@@ -109,9 +118,67 @@ KINDS = {
 }
 
 
+def test_a_gain_for_two_moves_is_the_block_of_a_static_gamma():
+    """Closed over both moves; and beside a gain, what is added to w at each."""
+    m, gain = matrices(moves=2), np.array([[0.05, 0.01], [-0.02, 0.04]])
+    here, u = (
+        block(PrandtlIshlinskii([[Pair([0.0], [g]) for g in row] for row in gain]), **m),
+        RNG.normal(size=(2, 200)),
+    )
+    found, _ = here.respond(u)
+    np.testing.assert_allclose(here.with_gain(gain).respond(u)[0], found, rtol=1e-10, atol=1e-12)
+    other = 0.5 * gain
+    both = here.beside(other)
+    x, y, d = np.zeros(6), [], np.zeros(4)
+    for sample in u.T:
+        first = m["F"][:2] @ x + m["G"][:2] @ sample
+        second = m["F"][2:] @ x + m["G"][2:] @ sample + m["H"] @ gain @ first
+        d = np.concatenate([(gain - other) @ z for z in (first, second)])
+        y.append(both.C @ x + both.D @ np.concatenate([sample, d]))
+        np.testing.assert_allclose(y[-1][2:], np.concatenate([first, second]), rtol=1e-9, atol=1e-12)
+        x = both.A @ x + both.B @ np.concatenate([sample, d])
+    np.testing.assert_allclose(np.array(y).T[:2], found, rtol=1e-9, atol=1e-12)
+
+
+def test_two_moves_follow_an_oscillator_that_one_misses():
+    """At ten samples per period: plays of a fine march, less by a twentieth of what a held w leaves."""
+    w, share, fine = 2 * np.pi * 0.1 / TIME_S, 0.3, 200
+    a = np.array([[0.0, w], [-w, -0.05 * w]])
+    held = np.block([[a, np.array([[0.0, 0.0], [w, w]]), np.zeros((2, 1))], [np.zeros((3, 5))]])
+    held[3, 4] = 1.0 / TIME_S  # w rises by the last input in a sample
+    step, short = expm(TIME_S * held), expm(TIME_S / fine * held)
+    of = {"A": step[:2, :2], "B": step[:2, 2:3], "C": [[1.0, 0.0]], "D": [[0.0]]}
+    f = np.array([[1.0, 0.0]])
+    one = {"E": step[:2, 3:4], "F": f, "G": [[0.0]]}
+    rows = {"F": np.vstack([f, f @ step[:2, :2]]), "G": [[0.0], [step[0, 2]]], "H": f @ step[:2, 3:4]}
+    two = {"E": np.hstack([step[:2, 3:4] - step[:2, 4:5], step[:2, 4:5]])} | rows
+    r, u = 0.5, RNG.normal(size=(1, 400))
+    x, p, y = np.zeros(2), 0.0, []
+    for value in u[0]:
+        y.append(x[0])
+        for _ in range(fine):
+            p = max(x[0] - r, min(x[0] + r, p))
+            x = short[:2, :2] @ x + short[:2, 2] * value - short[:2, 3] * share * p
+    gamma = PrandtlIshlinskii([[Pair([r], [-share])]])
+    errors = [
+        (
+            FeedbackHysteresisDynamics.of(gamma, sample_time_s=TIME_S, **of, **more).block().respond(u)[0][0]
+            - y
+        ).std()
+        for more in (one, two)
+    ]
+    assert errors[1] < 0.05 * errors[0]
+
+
+def test_the_end_of_a_sample_needs_a_sample_time():
+    with pytest.raises(ValueError, match="give the sample_time_s"):
+        FeedbackHysteresisDynamics.of(plays(), **matrices(moves=2))
+
+
+@pytest.mark.parametrize("moves", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
-def test_batch_is_step_to_the_last_bit(kind):
-    here, u = block(KINDS[kind]), RNG.normal(size=(2, 50)).cumsum(axis=1)
+def test_batch_is_step_to_the_last_bit(kind, moves):
+    here, u = block(KINDS[kind], **matrices(moves=moves)), RNG.normal(size=(2, 50)).cumsum(axis=1)
     whole, after = here.respond(u)
     state, steps = here.rest(), []
     for sample in u.T:
@@ -135,9 +202,10 @@ def discrete(**changes):
     return FeedbackHysteresisDynamics.of(plays(), sample_time_s=TIME_S, **(matrices() | changes))
 
 
+@pytest.mark.parametrize("moves", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
-def test_model_file_keeps_every_bit(kind, tmp_path):
-    dynamics = FeedbackHysteresisDynamics.of(KINDS[kind], sample_time_s=TIME_S, **matrices())
+def test_model_file_keeps_every_bit(kind, moves, tmp_path):
+    dynamics = FeedbackHysteresisDynamics.of(KINDS[kind], sample_time_s=TIME_S, **matrices(moves=moves))
     first = model(dynamics)
     first.save(tmp_path / "model.json")
     again = HammersteinModel.load(tmp_path / "model.json")
@@ -163,9 +231,10 @@ def test_python_control_plays_the_same_numbers():
     np.testing.assert_allclose(answer.outputs, expected, rtol=1e-12, atol=1e-14)
 
 
-def test_sensor_and_delay_stand_around_the_loop():
+@pytest.mark.parametrize("moves", [1, 2])
+def test_sensor_and_delay_stand_around_the_loop(moves):
     """A delay of the input shifts the outputs; a fractional one is a step between two samples."""
-    dynamics, u = discrete(), RNG.normal(size=(2, 80))
+    dynamics, u = discrete(**matrices(moves=moves)), RNG.normal(size=(2, 80))
     late = dynamics.model_copy(update={"input_delay_s": 3 * TIME_S})
     plain, shifted = (on_grid(d, TIME_S).respond(u)[0] for d in (dynamics, late))
     np.testing.assert_allclose(shifted[:, 3:], plain[:, :-3], rtol=1e-10, atol=1e-13)

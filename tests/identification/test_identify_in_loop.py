@@ -97,7 +97,7 @@ def test_a_settled_period_can_begin_anywhere():
         for first in [int(np.argmin(one.u_v[0, :SAMPLES]))]
     ]
     errors = [held_percent(identify_in_loop(some, SHORT)[1]) for some in (begun, turned)]
-    assert max(errors) < 0.09  # half as much again where a simulation had to meet the offset, too
+    assert max(errors) < 0.1  # half as much again where a simulation had to meet the offset, too
 
 
 def test_linear_records_keep_the_linear_model():

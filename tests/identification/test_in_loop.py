@@ -13,19 +13,23 @@ from hammerstein.dynamics import on_grid
 from hammerstein.errors import InputError
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import Search, SettledPeriod
+from hammerstein.identification.in_loop.start import with_band, with_ends, with_plays, with_products
 from reports.measured.one_model.make import benchmark_rms
 
 WARM, SAMPLES = 300, 512
 PAGE = Path(__file__).parents[2] / "reports" / "measured" / "one_model"
 
 
-def made_up(seed=3, curved=False):
+def made_up(seed=3, curved=False, moves=1):
     """Two modes, two axes, three plays in each of two loops; products of their inputs where it is curved."""
     rng = np.random.default_rng(seed)
     angles, n = np.array([0.5, 1.3]), 4
     a = np.array([0.95 * np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) for t in angles])
     shapes = {"B": (n, 2), "C": (2, n), "D": (2, 2), "E": (n, 2), "F": (2, n), "G": (2, 2)}
-    sizes = {"B": 0.3, "C": 1.0, "D": 0.1, "E": 0.1, "F": 1.0, "G": 0.3}
+    if moves == 2:
+        shapes |= {"E": (n, 4), "F": (4, n), "G": (4, 2)}
+    shapes["H"] = 2 * (moves - 1), 2
+    sizes = {"B": 0.3, "C": 1.0, "D": 0.1, "E": 0.1, "F": 1.0, "G": 0.3, "H": 0.3}
     numbers = {name: sizes[name] * rng.normal(size=shape) for name, shape in shapes.items()}
     c, r = 0.1 * rng.uniform(0.5, 1.5, size=(2, 3)), np.array([[0.1, 0.4, 1.0], [0.15, 0.5, 0.9]])
     beta = np.array([[0.9, 0.7, 0.3], [0.9, 0.6, 0.4]])
@@ -48,9 +52,10 @@ def periods(truth, amplitudes=(0.4, 1.0, 2.0)):
     return [SettledPeriod(u, truth.simulate(u, WARM), 1.0, WARM) for u in inputs]
 
 
-def test_derivatives_are_those_of_differences():
+@pytest.mark.parametrize("moves", [1, 2])
+def test_derivatives_are_those_of_differences(moves):
     """Of every kind of number; a play that changes sides between the two ends is the only difference."""
-    here, u = made_up(curved=True), multisine(1)
+    here, u = made_up(curved=True, moves=moves), multisine(1)
     period = SettledPeriod(u, np.zeros((2, SAMPLES)), 1.0, WARM)
     _, gradient = Search()._of_period(here, period)
     vector = here.vector()
@@ -77,8 +82,9 @@ def test_a_period_is_entered_from_as_many_as_it_takes():
     np.testing.assert_array_equal(sent, np.tile(u, 4)[:, SAMPLES - 5 :])
 
 
-def test_poles_beyond_the_bound_have_their_derivatives():
-    here, margin = made_up(curved=True), 0.2
+@pytest.mark.parametrize("moves", [1, 2])
+def test_poles_beyond_the_bound_have_their_derivatives(moves):
+    here, margin = made_up(curved=True, moves=moves), 0.2
     beyond, moved = here.fastest(margin)
     assert len(beyond) > 0
     vector = here.vector()
@@ -99,8 +105,8 @@ def test_poles_of_small_amplitudes_count_too():
     one, two, x = np.ones((1, 1)), np.ones((1, 2)), np.eye(2)[:1]
     humming = LoopParameters(
         A=np.diag([0.9, 0.0])[None], B=x.T, C=x, D=0.0 * one, E=x.T, F=x, G=0.0 * one,
-        c=-0.1 * two, K=np.zeros((1, 0)), r=np.array([[1.0, 1.5]]), beta=0.9 * two, limit=np.ones(1),
-        factors=np.zeros((0, 3), dtype=np.int64),
+        H=np.zeros((0, 1)), c=-0.1 * two, K=np.zeros((1, 0)), r=np.array([[1.0, 1.5]]), beta=0.9 * two,
+        limit=np.ones(1), factors=np.zeros((0, 3), dtype=np.int64),
     )  # fmt: skip
     u = np.zeros((1, 4000))
     u[0, 0] = 0.1
@@ -108,9 +114,22 @@ def test_poles_of_small_amplitudes_count_too():
     assert humming.fastest(0.0)[0] == pytest.approx([0.08], rel=1e-12)
 
 
-def test_search_finds_the_model_that_made_the_periods():
+def test_larger_structures_begin_where_the_smaller_ended():
+    """More plays, more paths, products and one move more change nothing before a search, as their w are 0."""
+    truth = made_up(moves=2)
+    seen, u = periods(truth), multisine(8)
+    expected = truth.simulate(u, WARM)
+    larger = with_products(with_band(with_plays(truth, seen), 0.0, np.pi, seen))
+    assert larger.r.shape == (4, 7)
+    np.testing.assert_allclose(larger.simulate(u, WARM), expected, rtol=1e-9, atol=1e-9)
+    straight = replace(made_up(), c=np.zeros((2, 3)))
+    np.testing.assert_allclose(with_ends(straight).simulate(u, WARM), straight.simulate(u, WARM), atol=1e-9)
+
+
+@pytest.mark.parametrize("moves", [1, 2])
+def test_search_finds_the_model_that_made_the_periods(moves):
     """From numbers that are all 3 % off, to a thousandth of the first error, on a period it has not seen."""
-    truth = made_up()
+    truth = made_up(moves=moves)
     seen, unseen = periods(truth), periods(truth, (0.7, 1.5))[1:]
     wrong = truth.vector() * (1.0 + 0.03 * np.random.default_rng(5).normal(size=truth.vector().size))
     start = truth.at(wrong)
@@ -149,8 +168,9 @@ def test_another_file_is_no_search(tmp_path):
         LoopParameters.load(file)
 
 
-def test_the_dynamics_of_a_model_give_the_same_outputs():
-    here, u = made_up(curved=True), multisine(2)
+@pytest.mark.parametrize("moves", [1, 2])
+def test_the_dynamics_of_a_model_give_the_same_outputs(moves):
+    here, u = made_up(curved=True, moves=moves), multisine(2)
     block = on_grid(here.dynamics(1e-3), 1e-3)
     twice, _ = block.respond(np.hstack([u[:, -WARM:], u]))
     expected = here.simulate(u, WARM)

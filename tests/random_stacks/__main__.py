@@ -31,8 +31,8 @@ SAMPLES = 2048
 LEVELS_V = (1 / 3, 2 / 3, 1.0)
 """Rms of each input of the records."""
 BETWEEN_V, ABOVE_V = 0.85, 1.3
-EXPERIMENTS = 9
-"""Of one period each, as many at every level."""
+WIDE, SLOW = 9, 3
+"""Experiments of one period each, as many at every level: over the whole band, and of slow motion."""
 NOISE = 0.005
 PATH_V, PATH_PART = 0.6, 0.6
 """The path is what this level moves, up to this part of the lowest resonance."""
@@ -55,9 +55,11 @@ def settled(respond, u):
 
 
 def records(stacks, highest_hz, seed):
-    found = []
-    for k in range(EXPERIMENTS):
-        u = LEVELS_V[k % 3] * multisine([seed, k], stacks.axes, highest_hz, stacks.time_s)
+    """Those that resonate, then those up to the frequency of the path, whose loops are smaller."""
+    found, slow_hz = [], PATH_PART * stacks.numbers[:, 0].min() / 2.0 / np.pi
+    for k in range(WIDE + SLOW):
+        band = highest_hz if k < WIDE else slow_hz
+        u = LEVELS_V[k % 3] * multisine([seed, k], stacks.axes, band, stacks.time_s)
         y = stacks.position_um(np.tile(u, 4))[:, -2 * SAMPLES :]
         noise = np.random.default_rng([seed, 100 + k]).normal(size=y.shape)
         y = y + NOISE * y.std(axis=1, keepdims=True) * noise
@@ -97,10 +99,7 @@ def _pole_hz(hertz, response):
 def followed(stacks, model, lowest_hz, highest_hz, seed):
     """Error of a followed multisine over the noise of a reading of it, and over that of the smallest records.
 
-    It swells from rest and dies away. Records resonate, and their noise is 0.5 % of what they move.
-
-    The drive leaves hardly anything of the model; what is left is the error of the model, which takes w for
-    constant over a sample, of which ten are a period of the highest resonance.
+    It swells from rest and dies away. The drive leaves hardly anything of the model; the rest is its error.
     """
     path = multisine([seed, 77], stacks.axes, PATH_PART * lowest_hz, stacks.time_s)
     swell = np.sin(np.pi * np.arange(SAMPLES) / SAMPLES) ** 2

@@ -74,7 +74,15 @@ def _pushed(x, v, u, plays, w, zeta, gain, coupling, r, k):
     """Acceleration; all charges are over C, so that T x / C is coupling x / gain."""
     fed = coupling * x / gain
     q = _charge(u + fed, plays, r, k)
-    return w * w * (gain * (q - fed) - x) - 2.0 * zeta * w * v, q
+    return w * w * (gain * (q - fed) - x) - 2.0 * zeta * w * v
+
+
+@numba.njit
+def _move(s, plays, r, k):
+    """Plays after every step: the voltage jumps between samples, and the last charge before it is a turn."""
+    q = _charge(s, plays, r, k)
+    for j in range(len(r)):
+        plays[j] = max(q - r[j], min(q + r[j], plays[j]))
 
 
 @numba.njit
@@ -83,18 +91,18 @@ def _moved(u, w, zeta, gain, coupling, r, k, h):
     x = v = 0.0
     for t in range(len(u)):
         y[t] = x
+        _move(u[t] + coupling * x / gain, plays, r, k)
         for _ in range(FINE):
-            a1, q = _pushed(x, v, u[t], plays, w, zeta, gain, coupling, r, k)
-            for j in range(len(r)):
-                plays[j] = max(q - r[j], min(q + r[j], plays[j]))
+            a1 = _pushed(x, v, u[t], plays, w, zeta, gain, coupling, r, k)
             v2 = v + 0.5 * h * a1
-            a2, _ = _pushed(x + 0.5 * h * v, v2, u[t], plays, w, zeta, gain, coupling, r, k)
+            a2 = _pushed(x + 0.5 * h * v, v2, u[t], plays, w, zeta, gain, coupling, r, k)
             v3 = v + 0.5 * h * a2
-            a3, _ = _pushed(x + 0.5 * h * v2, v3, u[t], plays, w, zeta, gain, coupling, r, k)
+            a3 = _pushed(x + 0.5 * h * v2, v3, u[t], plays, w, zeta, gain, coupling, r, k)
             v4 = v + h * a3
-            a4, _ = _pushed(x + h * v3, v4, u[t], plays, w, zeta, gain, coupling, r, k)
+            a4 = _pushed(x + h * v3, v4, u[t], plays, w, zeta, gain, coupling, r, k)
             x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
             v += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+            _move(u[t] + coupling * x / gain, plays, r, k)
     return y
 
 

@@ -15,12 +15,7 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law, Memory, checked_reference
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators.base import Compensator
-from hammerstein.compensators.exact.inverse import (
-    ExactInverseLaw,
-    ExactState,
-    Recovery,
-    exact_inverse_of,
-)
+from hammerstein.compensators.exact.inverse import ExactInverseLaw, ExactState, Recovery, exact_inverse_of
 from hammerstein.compensators.preview.linear_inverse import linear_inverse
 from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
 from hammerstein.compensators.preview.reference_filter import filtered_by, low_pass_taps

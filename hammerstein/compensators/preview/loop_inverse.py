@@ -27,9 +27,6 @@ MOST_STEPS, REMEMBERED = 60, 3
 """Accelerated steps of each gain on a path that is known as a whole, and how many are remembered. On waves up
 to twice the resonance of two made-up stacks, 40 steps left 0.0001 to 0.003 of the path with every gain but
 the smallest; where 12 or 25 were remembered, up to 0.8."""
-LONG = 10
-"""Times the shortest reach of an inverse. A gain whose inverse reaches further ahead is dropped. It has
-nearly no inverse, costs most of the time, and was the best for no path that was tried."""
 ENOUGH = 1e-4
 """Part of the path that may be left: identified models miss it by twenty times as much and more."""
 SHARES = (0.25, 0.5, 0.1, 1.0)
@@ -65,7 +62,7 @@ class LoopPass:
         x+ = (A + E K F) x + (B + E K G) v + E d,    y = C x + D v = r,    z = F x + G v
 
     On the path the states follow from r, so that d, which is w - K z of the pass before, moves z little even
-    near a resonance.
+    near a resonance. Where Gamma moves twice in a sample, z and d are those of both moves.
     """
 
     block: FeedbackBlock
@@ -79,15 +76,14 @@ class LoopPass:
     @cached_property
     def _moved(self) -> LinearBlock:
         """What d alone does to y."""
-        linear, e, c = self.block.with_gain(self.gain), self.block.E, self.block.C
-        return LinearBlock(linear.A, e, c, np.zeros((len(c), e.shape[1])), linear.sample_time_s)
+        both, m, c = self.block.beside(self.gain), self.block.n_inputs, self.block.C
+        return LinearBlock(both.A, both.B[:, m:], c, both.D[: len(c), m:], both.sample_time_s)
 
     @cached_property
     def _inner(self) -> LinearBlock:
         """From v and d to z."""
-        linear, block = self.block.with_gain(self.gain), self.block
-        g = np.hstack([block.G, np.zeros((len(block.G), block.E.shape[1]))])
-        return LinearBlock(linear.A, np.hstack([linear.B, block.E]), block.F, g, linear.sample_time_s)
+        both, p = self.block.beside(self.gain), self.block.n_outputs
+        return LinearBlock(both.A, both.B, both.C[p:], both.D[p:], both.sample_time_s)
 
     def rest(self) -> PassState:
         """Loop at rest, reference and disturbance at zero until now."""
@@ -109,8 +105,11 @@ class LoopPass:
         modes = state.modes.copy()
         v = self.inverse.run(missed, modes)
         z, inner = self._inner.respond(np.vstack([v, waiting[:, :samples]]), state.inner)
+        moves = self.block.moves  # one after the other
+        z = z.reshape(moves, -1, samples).transpose(1, 2, 0).reshape(-1, samples * moves)
         w, hysteresis = self.block.hysteresis.respond(z, state.hysteresis)
         d = w + self.block.products.at(z) - times(self.gain, z)
+        d = d.reshape(-1, samples, moves).transpose(2, 0, 1).reshape(-1, samples)
         late = missed[:, samples:].copy(), waiting[:, samples:].copy()
         return v, d, PassState(*late, modes, moved_on, inner, hysteresis)
 
@@ -315,8 +314,7 @@ class LoopInverseLaw(Law[LoopPathState]):
                 refused = error
         if not loops and refused:
             raise refused
-        shortest = min(one.inverse.reach_samples for one, _ in loops)
-        loops = [pair for pair in loops if pair[0].inverse.reach_samples <= LONG * shortest]
+        loops.sort(key=lambda pair: pair[0].inverse.reach_samples)  # a long one is seldom needed, and slow
         best: tuple[LoopPass, int, float] = (loops[0][0], 0, np.inf)
         for one, path in loops:
             if best[2] >= ENOUGH:

@@ -20,8 +20,7 @@ def low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
     nyquist = 0.5 / sample_time_s
     if not 0.0 < filter_hz < nyquist / 1.3:
         raise InputError(
-            "filter_hz",
-            f"must be between 0 and {nyquist / 1.3:g} Hz at this sample time, not {filter_hz:g}",
+            "filter_hz", f"must be between 0 and {nyquist / 1.3:g} Hz at this sample time, not {filter_hz:g}"
         )
     length, beta = kaiserord(66.0, 0.6 * filter_hz / nyquist)
     if length > LONGEST_FILTER:

@@ -69,9 +69,7 @@ class OpenLoop:
 
 
 def fit_loop(
-    start: OpenLoop,
-    periods: Sequence[SettledPeriod],
-    tell: Callable[[float], None] = lambda rms: None,
+    start: OpenLoop, periods: Sequence[SettledPeriod], tell: Callable[[float], None] = lambda rms: None
 ) -> OpenLoop:
     """Fit all free parameters at once to the simulated outputs, by Gauss-Newton steps in a trust region.
 

@@ -26,6 +26,7 @@ from hammerstein.identification.in_loop.selection import Selection
 from hammerstein.identification.in_loop.start import (
     linear_start,
     with_band,
+    with_ends,
     with_plays,
     with_products,
 )
@@ -71,9 +72,10 @@ def identify_in_loop(
 ) -> tuple[HammersteinModel, Fit]:
     """Identify a model with plays and products inside its loop from the simulated output.
 
-    The search begins with linear dynamics. Plays, then more paths for the lower and the upper modes, then
-    products of z are tried on two thirds of the experiments. Each is kept if it lowers the error on the other
-    third, which also sets the number of steps. Then the chosen structure is fitted to all experiments.
+    The search begins with linear dynamics. Plays, plays that move twice in a sample, more plays, more paths
+    for the upper and the lower modes, then products of z are tried on two thirds of the experiments. Each is
+    kept if it lowers the error on the other third, which also sets the number of steps. Then the chosen
+    structure is fitted to all experiments.
 
     Parameters
     ----------
@@ -136,11 +138,13 @@ class _Work:
             best = self._better(linear_start(one, parts.seen), best, parts)
         assert best is not None
         middle = float(np.median(np.abs(np.angle(np.linalg.eigvals(best.found.full())))))
+        begun = linear_start(next(one for one in blocks if len(one.A) == len(best.found.B)), parts.seen)
         growing: tuple[Callable[[LoopParameters], LoopParameters | None], ...] = (
+            lambda found: with_ends(begun),
+            partial(with_plays, periods=parts.seen),
             partial(with_band, low=middle, high=np.pi, periods=parts.seen),
             partial(with_band, low=0.0, high=middle, periods=parts.seen),
             with_products,
-            partial(with_plays, periods=parts.seen),
         )
         for grow in growing:
             larger = grow(best.found)

@@ -22,7 +22,7 @@ from hammerstein.model import HammersteinModel
 
 FORMAT = "hammerstein-feedback-search/1"
 WHAT = "file of an interrupted search"
-SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "c", "K")
+SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "H", "c", "K")
 LEAST_THRESHOLD = 1e-4
 """Keeps a threshold above zero."""
 
@@ -31,13 +31,15 @@ LEAST_THRESHOLD = 1e-4
 class LoopParameters:
     """Numbers of a block with plays inside its loop, on one sample grid.
 
-        x+ = A x + B u + E w,  z = F x + G u,  y = C x + D u
+        x+ = A x + B u + E w,  z = F x + G u + H w,  y = C x + D u
         w_i = sum over j of c_ij (p_ij - beta_ij z_i) + sum over j of K_ij product_j
 
     p_ij is the play of z_i with threshold r_ij. beta is held: the linear part of a play, which A, B, E, F
     and G explain, so that c changes the loop little.
 
-    A : (n / 2, 2, 2) blocks; B : (n, m); C : (p, n); D : (p, m); E : (n, h); F : (h, n); G : (h, m)
+    A : (n / 2, 2, 2) blocks; B : (n, m); C : (p, n); D : (p, m)
+    E : (n, v h), F : (v h, n), G : (v h, m) of each of v moves in a sample, see ``FeedbackBlock``
+    H : (h, h) what the second z takes of the first w; (0, h) where the plays move once
     c, r, beta : (h, J); K : (h, M) weights of products of z_i / limit_i, each held within 1
     factors : (M, 3) which z_i a product is of, h where there is none; limit : (h,)
     """
@@ -49,6 +51,7 @@ class LoopParameters:
     E: Array
     F: Array
     G: Array
+    H: Array
     c: Array
     K: Array
     r: Array
@@ -76,21 +79,24 @@ class LoopParameters:
 
         See ``kernels.differentiate``.
         """
-        (n, m), (h, plays), p = self.B.shape, self.r.shape, len(self.C)
-        x, u, w = np.arange(n), n + np.arange(m), n + m + np.arange(h)
-        products = np.arange(self.K.shape[1])
-        each, rows, out = np.arange(h * plays), n + np.arange(h), n + 2 * h + np.arange(p)
+        (n, m), (h, plays), (p, rows) = self.B.shape, self.r.shape, (len(self.C), len(self.F))
+        x, u, products = np.arange(n), n + np.arange(m), np.arange(self.K.shape[1])
+        stride = 2 * h + h * plays + len(products) + 1
+        w = n + m + (stride * np.arange(1 + bool(len(self.H)))[:, None] + np.arange(h)).ravel()
+        each, z, out = np.arange(h * plays), n + np.arange(rows), n + rows + h + np.arange(p)
+        late, own = z[h:], n + rows + np.arange(h)
         pairs = np.repeat(x.reshape(-1, 2), 2, axis=0).ravel()
         table = [
             (pairs, np.repeat(x, 2)),
             (np.tile(u, n), np.repeat(x, m)),
             (np.tile(x, p), np.repeat(out, n)),
             (np.tile(u, p), np.repeat(out, m)),
-            (np.tile(w, n), np.repeat(x, h)),
-            (np.tile(x, h), np.repeat(rows, n)),
-            (np.tile(u, h), np.repeat(rows, m)),
-            (n + m + h + each, np.repeat(rows + h, plays)),
-            (np.tile(n + m + h + h * plays + products, h), np.repeat(rows + h, len(products))),
+            (np.tile(w, n), np.repeat(x, rows)),
+            (np.tile(x, rows), np.repeat(z, n)),
+            (np.tile(u, rows), np.repeat(z, m)),
+            (np.tile(w[:h], len(late)), np.repeat(late, h)),
+            (n + m + h + each, np.repeat(own, plays)),
+            (np.tile(n + m + h + h * plays + products, h), np.repeat(own, len(products))),
             (-1 - each, np.zeros_like(each)),
         ]
         source, target = (np.concatenate(column) for column in zip(*table, strict=True))
@@ -107,9 +113,12 @@ class LoopParameters:
     def path(self, u: Array, warm: int) -> tuple[Array, np.ndarray[Any, Any]]:
         """Return path and hits of a periodic input (m, N); see ``kernels.follow``."""
         (n, m), (h, plays) = self.B.shape, self.r.shape
-        path = np.empty((warm + u.shape[1], n + m + h + h * plays + self.K.shape[1] + h + 1))
-        hits = np.empty((len(path), h, plays), dtype=np.int8)
-        matrices = (self.A, self.B, self.E, self.F, self.G, self.c, self.K, self.beta, self.r)
+        moves = 1 + bool(len(self.H))
+        path = np.empty((warm + u.shape[1], n + m + moves * (2 * h + h * plays + self.K.shape[1] + 1)))
+        hits = np.empty((len(path), moves * h, plays), dtype=np.int8)
+        late = np.pad(self.H, ((len(self.F) - len(self.H), 0), (0, 0)))
+        inner = np.hstack([self.F, self.G, late])
+        matrices = (self.A, self.B, self.E, inner, self.c, self.K, self.beta, self.r)
         follow(*matrices, self.factors, self.limit, np.ascontiguousarray(u), warm, path, hits)
         return path, hits
 
@@ -133,7 +142,10 @@ class LoopParameters:
     def _beyond(self, bound: float, moving: Array) -> tuple[Array, Array]:
         """The same for plays of which some move (h, J)."""
         k = (self.c * (moving - self.beta)).sum(axis=1)
-        poles, right = np.linalg.eig(self.full() + self.E @ (k[:, None] * self.F))
+        h = len(k)
+        inner = k[:, None] * self.F[:h]
+        late = k[:, None] * (self.F[h:] + self.H @ inner) if len(self.H) else self.F[h:]
+        poles, right = np.linalg.eig(self.full() + self.E @ np.vstack([inner, late]))
         left = np.linalg.inv(right)
         chosen = np.flatnonzero((np.abs(poles) > bound) & (poles.imag >= 0.0))
         rows = [self._moved(poles[i], left[i], right[:, i], k, moving) for i in chosen]
@@ -144,18 +156,23 @@ class LoopParameters:
         """Derivative (P,) of the absolute value of a pole."""
         n = len(self.B)
         turned = np.conj(pole) / abs(pole)
-        seen, pushed = self.F @ right, left @ self.E
+        h, seen, pushed = len(k), self.F @ right, left @ self.E
+        k = np.tile(k, 1 + bool(len(self.H)))
+        if len(self.H):
+            seen[h:] += self.H @ (k * seen)[:h]
+            pushed[:h] += (k * pushed)[h:] @ self.H
         zeros = {name: np.zeros(getattr(self, name).shape, dtype=complex) for name in (*SEARCHED, "r")}
         zeros["A"] = np.einsum("bi,bj->bij", left.reshape(n // 2, 2), right.reshape(n // 2, 2))
         zeros["E"], zeros["F"] = np.outer(left, k * seen), np.outer(k * pushed, right)
-        zeros["c"] = (moving - self.beta) * (pushed * seen)[:, None]
+        zeros["H"] = np.outer((k * pushed)[h:], (k * seen)[:h])
+        zeros["c"] = (moving - self.beta) * (pushed * seen).reshape(-1, h).sum(axis=0)[:, None]
         return np.concatenate([(turned * part).real.ravel() for part in zeros.values()])
 
     def dynamics(self, sample_time_s: float) -> FeedbackHysteresisDynamics:
         """Return the block as the dynamics of a model."""
         none, h = Pair(np.zeros(1), np.zeros(1)), range(len(self.r))
         pairs = tuple(tuple(self._pair(i) if i == k else none for k in h) for i in h)
-        matrices = {name: getattr(self, name) for name in "BCDEFG"} | {"A": self.full()}
+        matrices = {name: getattr(self, name) for name in "BCDEFGH"} | {"A": self.full()}
         return FeedbackHysteresisDynamics.of(
             PrandtlIshlinskii(pairs),
             sample_time_s=sample_time_s,
@@ -189,6 +206,7 @@ class LoopParameters:
         """Say in few words how large it is."""
         h, plays = self.r.shape
         products = f", {self.K.shape[1]} products" if self.K.size else ""
+        products += ", twice per sample" * bool(len(self.H))
         return f"order {len(self.B)}, {h} path{'s' * (h != 1)} of {plays} plays in the loop{products}"
 
     def _pair(self, i: int) -> Pair:
@@ -210,7 +228,9 @@ class LoopParameters:
         """Read what ``save`` wrote; InputError for another file."""
         try:
             content = json.loads(read_limited(file, what=WHAT))
+            content = {"H": []} | content  # of files without moves at the end of a sample
             numbers: dict[str, Any] = {one.name: np.array(content[one.name], float) for one in fields(cls)}
+            numbers["H"] = numbers["H"].reshape(-1, len(numbers["r"]))
             numbers["factors"] = numbers["factors"].reshape(-1, 3).astype(np.int64)
             numbers["K"] = numbers["K"].reshape(len(numbers["r"]), -1)
         except (KeyError, TypeError, ValueError):

@@ -17,6 +17,8 @@ Respond = Callable[[Array], tuple[Array, Any]]
 """Outputs (p, sample) from rest to inputs (m, sample), and the state after."""
 SETTLED = 1e-3
 """Part of an output by which two periods may differ that count as settled: a fifth of a noise of 0.5 %."""
+SMALLEST = 0.02
+"""Part of the largest record, below which a record counts no more: it holds noise."""
 MOST_BEFORE = 8
 """Periods that a simulation runs through at most before the one that counts."""
 
@@ -46,7 +48,9 @@ def start_of(record: Record) -> InitialState:
 
 
 def settled_periods(records: Sequence[Record], respond: Respond) -> list[SettledPeriod]:
-    """Settled periods, or whole records that began at rest.
+    """Settled periods, or whole records that began at rest; an error counts by the size of its record.
+
+    Otherwise slow paths and small loops, which move little, would hardly be fitted beside a resonance.
 
     respond : of a model that settles as the actuator does
     """
@@ -61,7 +65,11 @@ def settled_periods(records: Sequence[Record], respond: Respond) -> list[Settled
             one = SettledPeriod(record.u_v[:, -n:], y, 1.0, 0)
             one = one._replace(warm=n * _periods_before(respond, one))
         found.append(one)
-    return found
+    sizes = np.array([one.y.std(axis=1) for one in found])
+    each = np.sqrt(np.mean(sizes**2, axis=0))
+    whole = np.sqrt(np.mean((sizes / each) ** 2, axis=1))
+    whole = np.maximum(whole, SMALLEST * whole.max())
+    return [p._replace(weight=1.0 / (each * size)[:, None]) for p, size in zip(found, whole, strict=True)]
 
 
 def _period(record: Record) -> int:

@@ -22,14 +22,15 @@ PENALTY = 1e3
 
 
 class SettledPeriod(NamedTuple):
-    """One settled period of a record: voltages (m, N), positions (p, N), and what an error of it counts.
+    """One settled period of a record: voltages (m, N) and positions (p, N).
 
+    weight : what an error of it counts, a number or (p, 1)
     warm : samples of the same voltages that a simulation runs through before; 0 for a record from rest
     """
 
     u: Array
     y: Array
-    weight: float
+    weight: float | Array
     warm: int = 1500
 
     @property
@@ -95,7 +96,7 @@ class Search:
             else:
                 return found
             gained, found, cost, mu = (cost - now) / cost, trial, now, max(mu / 5.0, 1e-9)
-            rms = [np.sqrt((e * e).mean()) / p.weight for e, p in zip(errors, periods, strict=True)]
+            rms = [np.sqrt(np.mean((e / p.weight) ** 2)) for e, p in zip(errors, periods, strict=True)]
             tell(Progress(step, cost, gained, np.array(rms), found))
             if gained < self.enough:
                 break
@@ -134,13 +135,14 @@ class Search:
         source, target = found.tables()
         n = len(found.B)
         error = period.left(found.C @ path[period.warm :, :n].T + found.D @ period.u)
-        names = ("A", "C", "E", "F", "c", "K", "beta", "r", "limit")
+        names = ("A", "C", "E", "F", "H", "c", "K", "beta", "r", "limit")
         numbers = [np.ascontiguousarray(getattr(found, name), dtype=np.float32) for name in names]
         slopes = np.empty((len(found.C), period.u.shape[1], len(source)), dtype=np.float32)
         single = path.astype(np.float32)
         for first in range(0, len(source), WIDTH):
             differentiate(*numbers, found.factors, single, hits, source, target, first, period.warm, slopes)
         slopes -= slopes.mean(axis=1, keepdims=True)
-        flat, weight = slopes.reshape(-1, len(source)), period.weight
+        slopes *= np.reshape(period.weight, (-1, 1, 1)).astype(np.float32)
+        flat = slopes.reshape(-1, len(source))
         right = flat.T @ error.ravel().astype(np.float32)
-        return weight**2 * (flat.T @ flat).astype(np.float64), weight * right.astype(np.float64)
+        return (flat.T @ flat).astype(np.float64), right.astype(np.float64)

@@ -64,7 +64,7 @@ class Selection:
         return replace(trial, squares=self._squares(errors))
 
     def _squares(self, errors: Sequence[Array]) -> Array:
-        """Mean squared errors (experiment,) in parts of the ranges of the outputs."""
-        ranges = np.max([np.ptp(period.y, axis=1) for period in self.held], axis=0)
+        """Mean squares (experiment,) of weighted errors in parts of the ranges of the weighted outputs."""
+        ranges = np.max([np.ptp(period.weight * period.y, axis=1) for period in self.held], axis=0)
         with np.errstate(all="ignore"):  # of a simulation that diverged
             return np.array([np.mean((error / ranges[:, None]) ** 2) for error in errors])

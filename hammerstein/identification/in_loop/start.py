@@ -44,6 +44,7 @@ def linear_start(block: LinearBlock, periods: Sequence[SettledPeriod]) -> LoopPa
         E=np.zeros((len(a), h)),
         F=np.zeros((h, len(a))),
         G=np.zeros((h, m)),
+        H=np.zeros((0, h)),
         c=np.zeros((h, len(THRESHOLDS))),
         K=np.zeros((h, 0)),
         r=np.zeros((h, len(THRESHOLDS))),
@@ -61,17 +62,20 @@ def with_paths(
 
     e : (n, more); f : (more, n); g : (more, m)
     """
+    two = bool(len(found.H))
     z = _largest(found, f, g, periods)
     size = z.std(axis=1)[:, None] + 1e-300
     z, h = z / size, len(found.r)
-    grid = np.tile(THRESHOLDS, (len(z), 1))
+    places = np.linspace(0.0, len(THRESHOLDS) - 1, found.r.shape[1])
+    grid = np.tile(np.exp(np.interp(places, range(len(THRESHOLDS)), np.log(THRESHOLDS))), (len(z), 1))
     beta = _straight(z, grid)
     factors = np.where(found.factors == h, h + len(e.T), found.factors)
     return replace(
         found,
-        E=np.hstack([found.E, e]),
-        F=np.vstack([found.F, f / size]),
-        G=np.vstack([found.G, g / size]),
+        E=np.hstack([found.E[:, :h], e, found.E[:, h:], *[e] * two]),
+        F=np.vstack([found.F[:h], f / size, found.F[h:], *[f / size @ found.full()] * two]),
+        G=np.vstack([found.G[:h], g / size, found.G[h:], *[(f @ found.B + g) / size] * two]),
+        H=np.pad(found.H, ((0, len(z) * two), (0, len(z)))),
         c=np.vstack([found.c, np.zeros(beta.shape)]),
         K=np.vstack([found.K, np.zeros((len(beta), found.K.shape[1]))]),
         r=np.vstack([found.r, grid]),
@@ -86,7 +90,7 @@ def with_plays(found: LoopParameters, periods: Sequence[SettledPeriod]) -> LoopP
     r = np.sort(found.r, axis=1)
     wide = np.hstack([r[:, :1] ** 2 / r[:, 1:2], r, r[:, -1:] ** 2 / r[:, -2:-1]])
     more = np.sqrt(wide[:, 1:] * wide[:, :-1])
-    beta = _straight(_largest(found, found.F, found.G, periods), more)
+    beta = _straight(_largest(found, found.F[: len(r)], found.G[: len(r)], periods), more)
     none = np.zeros(more.shape)
     numbers = {"r": more, "c": none, "beta": beta}
     return replace(found, **{name: np.hstack([getattr(found, name), own]) for name, own in numbers.items()})
@@ -105,6 +109,17 @@ def with_band(
         return None
     m = found.B.shape[1]
     return with_paths(found, found.B * within[:, None], found.F[:m] * within, np.zeros((m, m)), periods)
+
+
+def with_ends(found: LoopParameters) -> LoopParameters:
+    """Numbers whose plays also move at the end of a sample, where its first w leads."""
+    return replace(
+        found,
+        E=np.hstack([0.5 * found.E, 0.5 * found.E]),
+        F=np.vstack([found.F, found.F @ found.full()]),
+        G=np.vstack([found.G, found.F @ found.B + found.G]),
+        H=found.F @ found.E,
+    )
 
 
 def with_products(found: LoopParameters) -> LoopParameters:
