@@ -10,14 +10,7 @@ import typer
 
 from hammerstein.commands.grouped import grouped
 from hammerstein.commands.jobs import PROCESSORS
-from hammerstein.commands.record_options import (
-    AsJson,
-    HeldBack,
-    Identified,
-    InLoop,
-    Overwrite,
-    RecordFiles,
-)
+from hammerstein.commands.record_options import AsJson, HeldBack, Identified, InLoop, Overwrite, RecordFiles
 from hammerstein.commands.terminal import show, tell, tell_json, tell_kept
 from hammerstein.commands.watch import Spinner
 

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
     from hammerstein.records.gains import Gain
     from hammerstein.records.record import Record
 
-Overwrite = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace existing files, also edited ones."),
-]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, also edited ones.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
@@ -55,12 +52,10 @@ class RecordFiles:
         typer.Option(metavar="COL", help="Time column in s, instead of --rate; default: by its unit."),
     ] = None
     input_scale: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Factor from the numbers to V; default: from the unit."),
+        float | None, typer.Option(metavar="S", help="Factor from the numbers to V; default: from the unit.")
     ] = None
     output_scale: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Factor from the numbers to um; default: from the unit."),
+        float | None, typer.Option(metavar="S", help="Factor from the numbers to um; default: from the unit.")
     ] = None
     units: Annotated[
         str | None,
@@ -205,8 +200,7 @@ class StaticBlock:
     """Kind of the static block."""
 
     hysteresis: Annotated[
-        str,
-        typer.Option(help="Hysteresis: prandtl_ishlinskii, asymmetric, generalised and others."),
+        str, typer.Option(help="Hysteresis: prandtl_ishlinskii, asymmetric, generalised and others.")
     ] = "prandtl_ishlinskii"
     dead_zones: Annotated[
         int | None, typer.Option(help="Dead-zones of each input, with asymmetric; default: searched.")
@@ -281,8 +275,7 @@ class Identified:
         float | None, typer.Option(metavar="HZ", help="Bandwidth of the sensor, from its data sheet.")
     ] = None
     sensor_delay: Annotated[
-        float,
-        typer.Option(metavar="SECONDS", help="Known delay of the sensor; excluded from the model."),
+        float, typer.Option(metavar="SECONDS", help="Known delay of the sensor; excluded from the model.")
     ] = 0.0
 
     accept_order: Annotated[

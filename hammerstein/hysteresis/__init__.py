@@ -8,14 +8,7 @@ from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, Asymme
 from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.bouc_wen import BoucWen, BoucWenFile, BoucWenPair, BoucWenState
 from hammerstein.hysteresis.generalised import Envelope, Generalised, GeneralisedFile
-from hammerstein.hysteresis.kind import (
-    HYSTERESIS,
-    Hysteresis,
-    HysteresisFile,
-    Normals,
-    Sloped,
-    slopes_of,
-)
+from hammerstein.hysteresis.kind import HYSTERESIS, Hysteresis, HysteresisFile, Normals, Sloped, slopes_of
 from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
 from hammerstein.hysteresis.parallel import Parallel, ParallelFile, ParallelState
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile

@@ -9,10 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import (
-    AxesDynamics,
-    Axis,
-)
+from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_fit import AxesFit, AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import (
@@ -31,11 +28,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.static_block import (
-    SlopeColumns,
-    StaticFit,
-    Thresholds,
-)
+from hammerstein.identification.static.static_block import SlopeColumns, StaticFit, Thresholds
 from hammerstein.identification.static_candidates import (
     KEPT,
     begun_static,

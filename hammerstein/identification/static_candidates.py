@@ -111,11 +111,7 @@ def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solv
     free = solved("least_squares")
     if solver == "closed_form":
         return WeightFits(_closed_form(task, free), free, solved("nonnegative"))
-    chosen = {
-        "least_squares": free,
-        "nonnegative": solved("nonnegative"),
-        "invertible": solved("invertible"),
-    }
+    chosen = {"least_squares": free, "nonnegative": solved("nonnegative"), "invertible": solved("invertible")}
     return WeightFits(chosen[solver], free, chosen["nonnegative"])
 
 
@@ -167,10 +163,7 @@ def lost_inverse(task: Task, start: WeightFits, found: WeightFits) -> bool:
 
 
 def fitted_thresholds(
-    task: Task,
-    thresholds_v: Thresholds,
-    dynamics: Dynamics,
-    rounds: int = MOST_ROUNDS,
+    task: Task, thresholds_v: Thresholds, dynamics: Dynamics, rounds: int = MOST_ROUNDS
 ) -> list[list[Array]]:
     """Thresholds fitted in front of given dynamics, the same for all outputs."""
     fitting = _fitting(task, dynamics, thinning(task.records))

@@ -4,14 +4,7 @@ To add one, write a function of a ``Measured`` and register it with ``metric``: 
 tolerances and baseline follow.
 """
 
-from hammerstein.metrics.arrays import (
-    LoopFigures,
-    drift,
-    euclidean,
-    loop_figures,
-    rms,
-    worst,
-)
+from hammerstein.metrics.arrays import LoopFigures, drift, euclidean, loop_figures, rms, worst
 from hammerstein.metrics.metric import METRICS, Measured, Metric, metric, metrics_of
 from hammerstein.metrics.row import KEY, Keyed, Row
 
