@@ -168,8 +168,8 @@ def _read(line: Any, path: Path) -> None:
 
 
 def _without_words(text: str) -> str:
-    """Text without names of ours, and without the word that a person may type."""
-    return re.sub(rf"\S*{MARK}\S*|or inf,", "", text)
+    """Text without names of ours, and without the word that a person may type or has typed."""
+    return re.sub(rf"\S*{MARK}\S*|or inf,|, not [-+]?(nan|inf)\b", "", text)
 
 
 def _markdown(text: str) -> bool:
