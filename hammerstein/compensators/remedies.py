@@ -54,7 +54,7 @@ class Missed:
             return [(led, self.prefix), (clipped, "--clip")]
         tried = [*self._moved(), *self._softened(), *self._filtered(self.path_um, self.prefix)]
         if not tried:  # corners of a path that does not even begin within reach
-            tried += self._moved_and_filtered()
+            tried += [found for moved in self._centred for found in self._filtered(*moved)]
         tried.append((led, f"{self.prefix} --clip".strip()))
         return [*sorted(helping for helping in tried if helping[0] < clipped), (clipped, "--clip")]
 
@@ -118,29 +118,23 @@ class Missed:
         return float(found.path_error_um.max()), within
 
     @cached_property
-    def _centred(self) -> tuple[Array, str] | None:
-        """The path moved to the middle of the reach, and the options for it; None if it was moved already."""
+    def _centred(self) -> list[tuple[Array, str]]:
+        """The path moved to the middle of the reach, and the options for it; none if it was moved already."""
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)
         )
         if self.moved or not np.isfinite(middle).all():
-            return None
+            return []
         offset = np.array([float(f"{value:.3g}") for value in middle])
         words = f"--lead-in --offset={','.join(f'{value:g}' for value in offset)}"
-        return self.path_um + offset[:, None], words
+        return [(self.path_um + offset[:, None], words)]
 
     def _moved(self) -> Iterator[tuple[float, str]]:
         """The path moved to the middle of what can be reached."""
-        if self._centred is not None:
-            path_um, words = self._centred
+        for path_um, words in self._centred:
             left, within = self._attempt(self.compensator, path_um)
             if within:
                 yield left, words
-
-    def _moved_and_filtered(self) -> Iterator[tuple[float, str]]:
-        """Both together."""
-        if self._centred is not None:
-            yield from self._filtered(*self._centred)
 
     def _softened(self) -> Iterator[tuple[float, str]]:
         """The least softening with which the path is within reach."""

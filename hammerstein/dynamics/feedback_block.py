@@ -102,10 +102,6 @@ class FeedbackBlock(SteppedBlock, ByValue):
         (rows, q), h = self.H.shape, len(self.F) - len(self.H)
         return np.block([[np.zeros((h, self.E.shape[1]))], [self.H, np.zeros((rows, self.E.shape[1] - q))]])
 
-    def linearised_at(self, u: Array) -> LinearBlock:
-        """Return the linear block with the gains that slow settled loops from -u to u (m,) have."""
-        return self.with_gain(self.slow_gain(u))
-
     def slow_gain(self, u: Array) -> Array:
         """Gains (q, h) that Gamma has in slow settled loops from -u to u (m,)."""
         return self._slow_loop(u)[0]

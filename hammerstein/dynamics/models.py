@@ -376,7 +376,7 @@ def linearised(dynamics: Dynamics, sample_time_s: float, ends: Array) -> LinearB
     if isinstance(dynamics, WithLoop):
         block = on_grid(dynamics, sample_time_s)
         assert isinstance(block, FeedbackBlock)
-        return block.linearised_at(ends)
+        return block.with_gain(block.slow_gain(ends))
     return discretise(dynamics, sample_time_s)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
+from hammerstein.compiled import compiled, helper
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
@@ -124,12 +125,10 @@ class Envelope(ByValue):
         g = np.asarray(values_v, dtype=np.float64)
         if not self.bent:
             return self._straight_at(g)
-        low, high = self._straight_at(g - self.saturating_v), self._straight_at(g + self.saturating_v)
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low + high)
-            below = self.of(middle) < g
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        return np.asarray(0.5 * (low + high))
+        low, high = (self._straight_at(g + side * self.saturating_v) for side in (-1.0, 1.0))
+        lines = self.voltages_v[1:-1], self.intercepts, self.slopes
+        bend = self.saturating_v, self.steepness_per_v, self.centre_v
+        return _bent_at(g.flatten(), low.flatten(), high.flatten(), lines, bend).reshape(g.shape)  # type: ignore[no-any-return]
 
     def _straight_at(self, g: Array) -> Array:
         """Inverse of the lines alone."""
@@ -193,6 +192,7 @@ class Envelope(ByValue):
         return Limits(*ends)
 
 
+@helper()
 def tanh_by_doubling(x: Array) -> Array:
     """Hyperbolic tangent of any numbers, within some rounding errors of it.
 
@@ -205,15 +205,31 @@ def tanh_by_doubling(x: Array) -> Array:
     >>> float(tanh_by_doubling(np.array(0.5)))  # doctest: +ELLIPSIS
     0.4621171572600...
     """
-    z = np.clip(x, -LIMIT, LIMIT) / 2.0**DOUBLINGS
+    z = np.minimum(np.maximum(x, -LIMIT), LIMIT) / 2.0**DOUBLINGS
     square = z * z
-    total = np.zeros_like(z)
+    total = 0.0 * z
     for term in SERIES:
         total = term + square * total
     t = z * total
     for _ in range(DOUBLINGS):
         t = (2.0 * t) / (1.0 + t * t)
-    return np.asarray(t)
+    return t
+
+
+@compiled()
+def _bent_at(
+    g: Array, low: Array, high: Array, lines: tuple[Array, ...], bend: tuple[float, float, float]
+) -> Array:
+    """Voltages between two bounds at which lines and a tangent have some values, all (point,) [V]."""
+    (knots, intercepts, slopes), (a, b, c) = lines, bend
+    for i in range(len(g)):
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low[i] + high[i])
+            line = np.searchsorted(knots, middle)
+            straight = intercepts[line] + slopes[line] * middle
+            side = low if straight + a * tanh_by_doubling(b * (middle - c)) < g[i] else high
+            side[i] = middle
+    return 0.5 * (low + high)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

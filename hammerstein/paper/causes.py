@@ -140,8 +140,8 @@ def _sample_time(scenario: Scenario, model: HammersteinModel, claim: Claim) -> V
 
 
 def _amplitude(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
-    volts = _amplitude_of_path(scenario, model, claim)
-    changed = _identified(scenario, "amplitude_v", volts) if volts < model.amplitude_v else None
+    volts = amplitude_of_path(scenario, model, claim)
+    changed = identified_with(scenario, "amplitude_v", volts) if volts < model.amplitude_v else None
     words = f"identified at {volts:.2g} V"
     return None if changed is None else Variation(("identification_amplitude",), words, changed, model)
 
@@ -150,7 +150,7 @@ def _frequency(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Var
     """A claim that compares frequencies, or follows one from where it was found, is not asked this."""
     if claim.quantity.found_hz is not None or len(set(_frequencies(scenario))) != 1:
         return None
-    changed = _identified(scenario, "frequency_hz", LOW_HZ)
+    changed = identified_with(scenario, "frequency_hz", LOW_HZ)
     words = f"identified at {LOW_HZ:g} Hz"
     return None if changed is None else Variation(("identification_frequency",), words, changed, model)
 
@@ -223,16 +223,6 @@ def _with_sources(scenario: Scenario, change: Callable[[Any], Any]) -> Scenario 
     return None if list(tested) == list(before) else scenario.model_copy(update=groups)
 
 
-def adjusted(
-    scenario: Scenario, model: HammersteinModel, claim: Claim, passes: int, at_path: bool
-) -> Scenario:
-    """The scenario with so many passes of the paper's law; models identified at the amplitude of a path."""
-    told = with_passes(scenario, passes) or scenario
-    if not at_path:
-        return told
-    return _identified(told, "amplitude_v", _amplitude_of_path(told, model, claim)) or told
-
-
 def with_passes(scenario: Scenario, passes: int) -> Scenario | None:
     """The scenario with so many passes of the paper's law in a sample; None where it has no such law."""
 
@@ -243,7 +233,7 @@ def with_passes(scenario: Scenario, passes: int) -> Scenario | None:
     return _with_sources(scenario, change)
 
 
-def _identified(scenario: Scenario, key: str, value: float) -> Scenario | None:
+def identified_with(scenario: Scenario, key: str, value: float) -> Scenario | None:
     """The scenario with another amplitude or frequency of its closed-form identifications."""
 
     def change(source: ModelSource) -> ModelSource:
@@ -262,7 +252,7 @@ def _frequencies(scenario: Scenario) -> Iterator[float]:
             yield source.identification.frequency_hz
 
 
-def _amplitude_of_path(scenario: Scenario, model: HammersteinModel, claim: Claim) -> float:
+def amplitude_of_path(scenario: Scenario, model: HammersteinModel, claim: Claim) -> float:
     """Voltage [V] whose settled loops are as high as the path of the claim, on the axis that needs most."""
     signal = next(iter(scenario.signals())).model_dump()
     if scenario.drive is not None:

@@ -23,7 +23,7 @@ from pathlib import Path
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel
 from hammerstein.paper import Paper
-from hammerstein.paper.causes import adjusted, rows_needed
+from hammerstein.paper.causes import amplitude_of_path, identified_with, rows_needed, with_passes
 from hammerstein.paper.claims import Claim
 from hammerstein.scenario import Scenario, load_scenario
 from tests.shipped.paper_actuators import READINGS, actuator_of
@@ -86,6 +86,16 @@ def grid(dampings: Iterable[float]) -> list[Reading]:
         for plant in plants
         for rest in itertools.product((True, False), PASSES, (False, True))
     ]
+
+
+def adjusted(
+    scenario: Scenario, model: HammersteinModel, claim: Claim, passes: int, at_path: bool
+) -> Scenario:
+    """The scenario with so many passes of the paper's law; models identified at the amplitude of a path."""
+    told = with_passes(scenario, passes) or scenario
+    if not at_path:
+        return told
+    return identified_with(told, "amplitude_v", amplitude_of_path(told, model, claim)) or told
 
 
 def answers(reading: Reading) -> dict[str, tuple[float, bool]]:
