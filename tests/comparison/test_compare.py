@@ -266,9 +266,19 @@ def test_the_command_writes_pages_figure_and_numbers(
     capsys.readouterr()
     assert call("show", "compare/compare.json") == 0
     assert "asymmetric" in capsys.readouterr().out
+
+
+@pytest.mark.full
+def test_a_comparison_without_a_figure_takes_away_that_of_another(
+    files: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    slow, fast, held = files
+    assert call("compare", slow, fast, "--validate", held, *COLUMNS, *QUICK) == 0
+    assert Path("compare/compare.svg").exists()
+    capsys.readouterr()
     assert call("compare", slow, fast, *COLUMNS, *QUICK, "--no-figures", "--json") == 0
     assert json.loads(capsys.readouterr().out)["held_records"] == []
-    assert not Path("compare/compare.svg").exists()  # that of the other comparison
+    assert not Path("compare/compare.svg").exists()
 
 
 @pytest.mark.parametrize(

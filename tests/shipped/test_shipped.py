@@ -69,3 +69,11 @@ def test_nobody_has_changed_what_the_starter_lists(folder):
     assert listed
     for name, entry in listed.items():
         assert digest_of(STARTER / folder / name) == entry.sha256, name
+
+
+@pytest.mark.parametrize("html", ["stage_fit/report.html", "reports/circle/report.html"])
+def test_pages_of_the_starter_have_the_style_and_script_of_today(html):
+    """Else make them anew: ``python -m tests.shipped``."""
+    text = (STARTER / html).read_text(encoding="utf-8")
+    for part in ("page.css", "page.js"):
+        assert (STARTER.parent / "templates" / part).read_text(encoding="utf-8").strip() in text, part
