@@ -28,7 +28,7 @@ from hammerstein.hysteresis import (
     RateState,
     bouc_wen_kernels,
     busy_kernels,
-    generalised,
+    envelope_kernels,
     rate_dependent_kernels,
 )
 
@@ -210,14 +210,14 @@ def _tangents(envelopes: Sequence[Envelope]) -> CPart:
     sizes = [one.saturating_v if one.bent else 0.0 for one in envelopes]
     return CPart(
         sizes=(
-            Size("DOUBLINGS", generalised.DOUBLINGS, "of the argument of a hyperbolic tangent"),
-            Size("TERMS", len(generalised.SERIES), "of its series"),
-            Size("HALVINGS", generalised.HALVINGS, "halvings in the inverse of an envelope with a tangent"),
+            Size("DOUBLINGS", envelope_kernels.DOUBLINGS, "of the argument of a hyperbolic tangent"),
+            Size("TERMS", len(envelope_kernels.SERIES), "of its series"),
+            Size("HALVINGS", envelope_kernels.HALVINGS, "halvings in the inverse of an envelope that bends"),
         ),
         tables=(
-            Table("TANH_LIMIT", generalised.LIMIT, "Argument above which a hyperbolic tangent is 1."),
-            Table("TANH_SCALE", 2.0**generalised.DOUBLINGS, "Divisor of its argument."),
-            Table("tanh_term", generalised.SERIES, "Its series, the highest power first."),
+            Table("TANH_LIMIT", envelope_kernels.LIMIT, "Argument above which a hyperbolic tangent is 1."),
+            Table("TANH_SCALE", 2.0**envelope_kernels.DOUBLINGS, "Divisor of its argument."),
+            Table("tanh_term", envelope_kernels.SERIES, "Its series, the highest power first."),
             Table("tangent_size", sizes, "Size of the tangent of each envelope [V]; 0: no tangent."),
             Table("tangent_steep", [one.steepness_per_v for one in envelopes], "Its steepness [1/V]."),
             Table("tangent_centre", [one.centre_v for one in envelopes], "Its centre [V]."),

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
-from hammerstein.compiled import compiled, helper
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
+from hammerstein.hysteresis.envelope_kernels import bent_at, tanh_by_doubling
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
@@ -41,12 +41,6 @@ BEYOND = 0.01
 """By how much a number may pass its upper limit, so that it has a derivative there."""
 APART = 1e-9
 """Distance, in parts of the range, by which knots and thresholds are kept in order."""
-HALVINGS = 60
-"""Steps in which the tangent is inverted: more than the bits of a number."""
-LIMIT, DOUBLINGS = 20.0, 8
-"""Argument from which a hyperbolic tangent is 1, and how often its argument is halved for its series."""
-SERIES = (-1382.0 / 155925.0, 62.0 / 2835.0, -17.0 / 315.0, 2.0 / 15.0, -1.0 / 3.0, 1.0)
-"""The series, the highest power first: of the largest argument it leaves out a rounding error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +122,7 @@ class Envelope(ByValue):
         low, high = (self._straight_at(g + side * self.saturating_v) for side in (-1.0, 1.0))
         lines = self.voltages_v[1:-1], self.intercepts, self.slopes
         bend = self.saturating_v, self.steepness_per_v, self.centre_v
-        return _bent_at(g.flatten(), low.flatten(), high.flatten(), lines, bend).reshape(g.shape)  # type: ignore[no-any-return]
+        return bent_at(g.flatten(), low.flatten(), high.flatten(), lines, bend).reshape(g.shape)  # type: ignore[no-any-return]
 
     def _straight_at(self, g: Array) -> Array:
         """Inverse of the lines alone."""
@@ -190,46 +184,6 @@ class Envelope(ByValue):
             own += [SHARES[i], np.log(STEEPNESSES[i]), CENTRES[i]] if self.bent else []
             ends.append(np.array(own))
         return Limits(*ends)
-
-
-@helper()
-def tanh_by_doubling(x: Array) -> Array:
-    """Hyperbolic tangent of any numbers, within some rounding errors of it.
-
-        tanh 2 z = 2 tanh z / (1 + tanh^2 z)
-
-    Products, sums and quotients alone: exported C, which has no mathematical library, gives the same bits.
-
-    Examples
-    --------
-    >>> float(tanh_by_doubling(np.array(0.5)))  # doctest: +ELLIPSIS
-    0.4621171572600...
-    """
-    z = np.minimum(np.maximum(x, -LIMIT), LIMIT) / 2.0**DOUBLINGS
-    square = z * z
-    total = 0.0 * z
-    for term in SERIES:
-        total = term + square * total
-    t = z * total
-    for _ in range(DOUBLINGS):
-        t = (2.0 * t) / (1.0 + t * t)
-    return t
-
-
-@compiled()
-def _bent_at(
-    g: Array, low: Array, high: Array, lines: tuple[Array, ...], bend: tuple[float, float, float]
-) -> Array:
-    """Voltages between two bounds at which lines and a tangent have some values, all (point,) [V]."""
-    (knots, intercepts, slopes), (a, b, c) = lines, bend
-    for i in range(len(g)):
-        for _ in range(HALVINGS):
-            middle = 0.5 * (low[i] + high[i])
-            line = np.searchsorted(knots, middle)
-            straight = intercepts[line] + slopes[line] * middle
-            side = low if straight + a * tanh_by_doubling(b * (middle - c)) < g[i] else high
-            side[i] = middle
-    return 0.5 * (low + high)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

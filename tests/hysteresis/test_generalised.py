@@ -13,7 +13,8 @@ from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.generalised import EnvelopeFile, tanh_by_doubling
+from hammerstein.hysteresis.envelope_kernels import tanh_by_doubling
+from hammerstein.hysteresis.generalised import EnvelopeFile
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
