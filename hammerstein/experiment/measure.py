@@ -187,18 +187,17 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
 
 def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     """Say where the reading is off because of the sensor, not because the actuator is."""
-    bandwidth = setup.plant.instruments.sensor.bandwidth_hz
+    sensor = setup.plant.instruments.sensor
     seen = [(row.rms_um, row.rms_true_um, row) for row in rows if setup.scenario.reference is not None]
     lagging = [
         (reading, true, row)
         for reading, true, row in seen
         if reading is not None and true is not None and reading > LAGGING * true
     ]
-    if math.isinf(bandwidth) or not lagging:
+    if math.isinf(sensor.bandwidth_hz) or not lagging:
         return []
     reading, true, row = max(lagging, key=lambda found: found[0] - found[1])
-    noise = setup.plant.instruments.sensor.noise_um
-    why = "is noisy" if reading < LAGGING * noise else f"of {bandwidth:g} Hz lags"
+    why = "is noisy" if reading < LAGGING * sensor.noise_um else f"of {sensor.bandwidth_hz:g} Hz lags"
     return [
         f"The sensor {why}: with {row.compensator!r}{row.at}, the rms error on {row.measured_axis} is "
         f"{reading:.3g} um for its reading, but {true:.3g} um for the true position. Judge a "

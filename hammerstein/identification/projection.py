@@ -217,8 +217,9 @@ class _Search:
         if near is None:
             near = self.solved(block, [_moments(*both) for both in zip(tasks, x, strict=True)])
         moments = []
+        changed = [self.first.at(theta + change) for change in STEP * np.eye(s)]
         for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
-            bends = self._bends(theta, one.kept, near[o].coefficients, o)
+            bends = self._bends(changed, one.kept, near[o].coefficients, o)
             more = tuple(map(_beside, one.kept, bends)) if s else one.kept
             moments.append(_derived(replace(one, kept=more), own, near[o].coefficients))
         counts = [one.columns for one in tasks]
@@ -303,12 +304,12 @@ class _Search:
         )
 
     def _bends(
-        self, theta: Array, here: Sequence[Regressors], weights: Array, o: int
+        self, changed: Sequence[Identifiable], here: Sequence[Regressors], weights: Array, o: int
     ) -> list[list[Regressors]]:
-        """Derivatives (record) (number) of an output by the numbers of the block."""
+        """Derivatives (record) (number) of an output by the numbers of the block, one changed in each."""
         found: list[list[Regressors]] = [[] for _ in here]
-        for change in STEP * np.eye(len(theta)):
-            ahead = self._columns(self.first.at(theta + change), o)
+        for block in changed:
+            ahead = self._columns(block, o)
             for i, (there, now) in enumerate(zip(ahead, here, strict=True)):
                 values, held = weights @ (there.values - now.values), weights @ (there.held - now.held)
                 found[i].append(Regressors(values[None] / STEP, np.array([held]) / STEP))

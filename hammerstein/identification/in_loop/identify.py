@@ -96,8 +96,8 @@ def identify_in_loop(
     if not found.chosen.percent < found.linear.percent:
         raise IdentificationError(
             f"hysteresis in the loop has an error of {found.chosen.percent:.3g} % of the range on the "
-            f"selection experiments, linear dynamics alone {found.linear.percent:.3g} %: it does not improve "
-            "the model. Identify without --hysteresis-in-loop"
+            f"selection experiments, scaled to one size, linear dynamics alone {found.linear.percent:.3g} %: "
+            "it does not improve the model. Identify without --hysteresis-in-loop"
         )
     return result_of(found, ready, held, name)
 

@@ -82,7 +82,7 @@ class LoopParameters:
         (n, m), (h, plays), (p, rows) = self.B.shape, self.r.shape, (len(self.C), len(self.F))
         x, u, products = np.arange(n), n + np.arange(m), np.arange(self.K.shape[1])
         stride = 2 * h + h * plays + len(products) + 1
-        w = n + m + (stride * np.arange(1 + bool(len(self.H)))[:, None] + np.arange(h)).ravel()
+        w = n + m + (stride * np.arange(self.moves)[:, None] + np.arange(h)).ravel()
         each, z, out = np.arange(h * plays), n + np.arange(rows), n + rows + h + np.arange(p)
         late, own = z[h:], n + rows + np.arange(h)
         pairs = np.repeat(x.reshape(-1, 2), 2, axis=0).ravel()
@@ -110,12 +110,16 @@ class LoopParameters:
             found[2 * b : 2 * b + 2, 2 * b : 2 * b + 2] = block
         return found
 
+    @property
+    def moves(self) -> int:
+        """How often the plays move in a sample."""
+        return 1 + bool(len(self.H))
+
     def path(self, u: Array, warm: int) -> tuple[Array, np.ndarray[Any, Any]]:
         """Return path and hits of a periodic input (m, N); see ``kernels.follow``."""
         (n, m), (h, plays) = self.B.shape, self.r.shape
-        moves = 1 + bool(len(self.H))
-        path = np.empty((warm + u.shape[1], n + m + moves * (2 * h + h * plays + self.K.shape[1] + 1)))
-        hits = np.empty((len(path), moves * h, plays), dtype=np.int8)
+        path = np.empty((warm + u.shape[1], n + m + self.moves * (2 * h + h * plays + self.K.shape[1] + 1)))
+        hits = np.empty((len(path), self.moves * h, plays), dtype=np.int8)
         late = np.pad(self.H, ((len(self.F) - len(self.H), 0), (0, 0)))
         inner = np.hstack([self.F, self.G, late])
         matrices = (self.A, self.B, self.E, inner, self.c, self.K, self.beta, self.r)
@@ -157,7 +161,7 @@ class LoopParameters:
         n = len(self.B)
         turned = np.conj(pole) / abs(pole)
         h, seen, pushed = len(k), self.F @ right, left @ self.E
-        k = np.tile(k, 1 + bool(len(self.H)))
+        k = np.tile(k, self.moves)
         if len(self.H):
             seen[h:] += self.H @ (k * seen)[:h]
             pushed[:h] += (k * pushed)[h:] @ self.H
@@ -206,8 +210,8 @@ class LoopParameters:
         """Say in few words how large it is."""
         h, plays = self.r.shape
         products = f", {self.K.shape[1]} products" if self.K.size else ""
-        products += ", twice per sample" * bool(len(self.H))
-        return f"order {len(self.B)}, {h} path{'s' * (h != 1)} of {plays} plays in the loop{products}"
+        often = ", twice per sample" * (self.moves - 1)
+        return f"order {len(self.B)}, {h} path{'s' * (h != 1)} of {plays} plays in the loop{products}{often}"
 
     def _pair(self, i: int) -> Pair:
         """Plays of z_i, the straight part at threshold 0; plays that came to one threshold are one."""

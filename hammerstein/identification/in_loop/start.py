@@ -62,7 +62,7 @@ def with_paths(
 
     e : (n, more); f : (more, n); g : (more, m)
     """
-    two = bool(len(found.H))
+    two = found.moves - 1
     z = _largest(found, f, g, periods)
     size = z.std(axis=1)[:, None] + 1e-300
     z, h = z / size, len(found.r)
