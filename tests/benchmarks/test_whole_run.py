@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -92,6 +93,9 @@ class Ran(NamedTuple):
 
 
 def python(*arguments, **environment):
+    """What Python takes with its bytecode kept, as after an installation, whatever this machine sets."""
+    kept = {"PYTHONPYCACHEPREFIX": os.path.join(tempfile.gettempdir(), "hammerstein-bytecode")}
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     start, before = time.perf_counter(), os.times()
     answer = subprocess.run(
         [sys.executable, *map(str, arguments)],
@@ -99,7 +103,7 @@ def python(*arguments, **environment):
         text=True,
         check=True,
         cwd=ROOT,
-        env=os.environ | environment,
+        env=own | kept | environment,
     )
     wall, after = time.perf_counter() - start, os.times()
     spent = after.children_user + after.children_system - before.children_user - before.children_system
