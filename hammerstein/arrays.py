@@ -71,7 +71,7 @@ class ByValue:
 
 def _equal(one: Any, other: Any) -> bool:
     """Whether two fields are equal, arrays and tuples of arrays as well."""
-    if isinstance(one, tuple) and isinstance(other, tuple):
+    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
         return len(one) == len(other) and all(map(_equal, one, other))
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return np.array_equal(one, other)

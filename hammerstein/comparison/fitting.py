@@ -11,10 +11,10 @@ from functools import cache, partial
 
 import numpy as np
 
-from hammerstein.dynamics import AxesDynamics, StaticDynamics
+from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError, IdentificationError
 from hammerstein.identification.fit import Fit, Kind
-from hammerstein.identification.identify import identify
+from hammerstein.identification.identify import Prepared, fit_kind, fit_plays, identify, settings_of_plays
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.rates import several_rates
 from hammerstein.identification.score import Candidate
@@ -75,21 +75,13 @@ class Failed:
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """One identification: what its model is called, its kind of hysteresis, the settings beside that."""
-
-    name: str
-    hysteresis: str
-    settings: Settings
-
-
-@dataclass(frozen=True, eq=False)
 class _Given:
-    """What one identification gave: models, or the error that ended it."""
+    """What was fitted: models, or the error that ended it, and plays where they were fitted on the way."""
 
-    asked: _Asked
     models: tuple[Fitted, ...] = ()
     error: HammersteinError | None = None
+    prepared: Prepared | None = None
+    seconds: float = 0.0
 
 
 def fit_all(
@@ -102,7 +94,7 @@ def fit_all(
     """Identify every kind of hysteresis without a linear block, and with the linear block that suits it.
 
     ``identify`` finds that block with the kind itself; for records at a single rate, it is the one found with
-    plays.
+    plays. Plays with the same settings are fitted once for all kinds.
 
     Parameters
     ----------
@@ -115,24 +107,33 @@ def fit_all(
     HammersteinError : of the identification with plays, where no kind can be fitted
     """
     others = [kind for kind in identifiable_kinds() if kind != PLAYS]
-    static = replace(settings, dynamics="none", order=None, creep_modes=0)
-    first = [_Asked(PLAYS, PLAYS, settings), *(_Asked(kind, kind, static) for kind in others)]
-    total = len(first) + len(others) * (settings.dynamics != "none")
+    settings = settings.with_plays()
+    given = partial(_worked_off, jobs=jobs, progress=progress, total=1 + len(others))
+    known: list[tuple[Settings, _Given]] = []
 
-    def tell(what: str, done: int) -> None:
-        progress(what, done, total)
+    def fitted(kinds: Sequence[str], asked: Settings, done: int) -> list[_Given]:
+        """Fit kinds behind plays of their settings, those that are not known first."""
+        wanted = [settings_of_plays(asked, kind) for kind in kinds]
+        new = [one for i, one in enumerate(wanted) if one not in [*wanted[:i], *(own for own, _ in known)]]
+        tasks = [partial(_of_plays, tuple(records), tuple(validation), one) for one in new]
+        known.extend(zip(new, given(tasks, [PLAYS] * len(new), done), strict=True))
+        begun = [next(found for own, found in known if own == one) for one in wanted]
+        each = zip(begun, kinds, strict=True)
+        return given([partial(_of_kind, plays, asked, kind) for plays, kind in each], kinds, done)
 
-    given = _worked_off(records, validation, first, jobs, tell)
-    linear = _with_dynamics(records, settings, given[0])
-    if linear is not None:
-        second = [_Asked(kind + WITH_DYNAMICS, kind, linear) for kind in others]
-        given += _worked_off(records, validation, second, jobs, tell, len(first))
-    fitted = [model for one in given for model in one.models]
-    if not fitted and given[0].error is not None:
-        raise given[0].error
-    return fitted, [
-        Failed(one.asked.name, one.asked.hysteresis, str(one.error)) for one in given if one.error
+    [plays] = fitted([PLAYS], settings, 0)
+    behind = _with_dynamics(records, settings, plays) or _without_dynamics(settings)
+    found = [plays, *fitted(others, behind, 1)]
+    models = [model for one in found for model in one.models]
+    if not models and plays.error is not None:
+        raise plays.error
+    each = zip([PLAYS, *others], found, strict=True)
+    failed = [
+        Failed(kind + WITH_DYNAMICS * bool(one.models), kind, str(one.error))
+        for kind, one in each
+        if one.error
     ]
+    return models, failed
 
 
 def _with_dynamics(records: Sequence[Record], settings: Settings, plays: _Given) -> Settings | None:
@@ -150,25 +151,29 @@ def _with_dynamics(records: Sequence[Record], settings: Settings, plays: _Given)
     return replace(settings, dynamics="second_order" if resonant else "lag", creep_modes=modes)
 
 
+def _without_dynamics(settings: Settings) -> Settings:
+    return replace(settings, dynamics="none", order=None, creep_modes=0)
+
+
 def _worked_off(
-    records: Sequence[Record],
-    validation: Sequence[Record],
-    asked: Sequence[_Asked],
+    tasks: Sequence[Callable[[], _Given]],
+    names: Sequence[str],
+    done: int,
+    *,
     jobs: Jobs,
-    progress: Callable[[str, int], None],
-    before: int = 0,
+    progress: Progress,
+    total: int,
 ) -> list[_Given]:
-    """Results in the order of the requests, some computed in parallel."""
-    tasks = [partial(_identified, tuple(records), tuple(validation), one) for one in asked]
-    waiting = [one.name for one in asked]
+    """Results in the order of the tasks, some computed in parallel."""
+    waiting = list(names)
 
     def finished(number: int, _: object = None) -> None:
-        waiting.remove(asked[number].name)
+        waiting.remove(names[number])
         tell()
 
     def tell() -> None:
         if waiting:
-            progress(f"fitting {', '.join(waiting)}", before + len(asked) - len(waiting))
+            progress(f"fitting {', '.join(dict.fromkeys(waiting))}", done + len(names) - len(waiting), total)
 
     tell()
     with _crew(jobs, len(tasks)) as crew:
@@ -182,29 +187,40 @@ def _crew(jobs: Jobs, tasks: int) -> AbstractContextManager[Jobs]:
     return nullcontext(jobs)
 
 
-def _identified(records: tuple[Record, ...], validation: tuple[Record, ...], asked: _Asked) -> _Given:
-    """One identification; its result may be an error that a user can correct, other errors are raised."""
-    _use_once(asked.hysteresis)
+def _of_plays(records: tuple[Record, ...], validation: tuple[Record, ...], asked: Settings) -> _Given:
+    """Plays, behind which kinds are fitted; an error that a user can correct is a result, too."""
+    _use_once(PLAYS)
     begun = time.process_time()
     try:
-        settings = replace(asked.settings, hysteresis=asked.hysteresis)
-        model, fit = identify(records, settings, validation=validation, name=asked.name)
+        prepared = fit_plays(records, asked, validation)
     except HammersteinError as error:
-        return _Given(asked, error=error)
-    seconds = time.process_time() - begun
-    if asked.hysteresis == PLAYS:
-        models = (
-            _fitted(fit, kind, replace(model, name=name), name, hysteresis, seconds)
-            for kind, (name, hysteresis) in OF_PLAYS.items()
-            if kind in fit.candidates
+        return _Given(error=error)
+    return _Given(prepared=prepared, seconds=time.process_time() - begun)
+
+
+def _of_kind(plays: _Given, asked: Settings, kind: str) -> _Given:
+    """One kind, with and without dynamics, behind plays that were fitted."""
+    if plays.prepared is None:
+        return plays
+    _use_once(kind)
+    begun = time.process_time()
+    try:
+        model, fit = fit_kind(plays.prepared, replace(asked, hysteresis=kind), name=kind)
+    except HammersteinError as error:
+        if asked.dynamics == "none":
+            return _Given(error=error)
+        return replace(_of_kind(plays, _without_dynamics(asked), kind), error=error)
+    seconds = plays.seconds + time.process_time() - begun
+    if kind == PLAYS:
+        names = {which: OF_PLAYS[which] for which in OF_PLAYS if which in fit.candidates}
+        return _Given(
+            tuple(_fitted(fit, fit.candidates[which], model, *names[which], seconds) for which in names)
         )
-        return _Given(asked, tuple(models))
-    if model.hysteresis.kind != asked.hysteresis:
-        return _Given(asked, error=IdentificationError(f"not identifiable: {fit.not_identifiable[0]}"))
-    dynamic = not isinstance(model.dynamics, StaticDynamics)
-    if asked.name.endswith(WITH_DYNAMICS) and not dynamic:
-        return _Given(asked)  # the same as the kind alone
-    return _Given(asked, (_fitted(fit, fit.kind, model, asked.name, asked.hysteresis, seconds),))
+    if model.hysteresis.kind != kind:
+        return _Given(error=IdentificationError(f"not identifiable: {fit.not_identifiable[0]}"))
+    best = fit.candidates[fit.kind]
+    found = {kind: best} if fit.is_static else {kind: fit.alone or best, kind + WITH_DYNAMICS: best}
+    return _Given(tuple(_fitted(fit, one, model, name, kind, seconds) for name, one in found.items()))
 
 
 @cache
@@ -219,10 +235,10 @@ def _use_once(kind: str) -> None:
 
 
 def _fitted(
-    fit: Fit, kind: Kind, model: HammersteinModel, name: str, hysteresis: str, seconds: float
+    fit: Fit, candidate: Candidate, model: HammersteinModel, name: str, hysteresis: str, seconds: float
 ) -> Fitted:
-    candidate = fit.candidates[kind]
-    if kind != fit.kind:  # of plays, which count from any working point
+    best = candidate is fit.candidates[fit.kind]
+    if not best:  # counts from any working point
         model = replace(
             model,
             hysteresis=candidate.hysteresis,
@@ -230,5 +246,7 @@ def _fitted(
             verdict=None,
             covariance=None,
         )
-    flags = fit.flags if kind == fit.kind else ()
-    return Fitted(name, hysteresis, model, candidate, fit.starts, fit.held_starts, flags, seconds)
+    flags = fit.flags if best else ()
+    return Fitted(
+        name, hysteresis, replace(model, name=name), candidate, fit.starts, fit.held_starts, flags, seconds
+    )

@@ -50,3 +50,28 @@ def bent_at(g, low, high, lines, bend):  # type: ignore[no-untyped-def]
             side = low if straight + a * tanh_by_doubling(b * (middle - c)) < g[i] else high
             side[i] = middle
     return 0.5 * (low + high)
+
+
+@compiled()
+def play_derivatives(x, moved, r, w, plays, signs, held, out):  # type: ignore[no-untyped-def]
+    """Derivatives of sums of plays by their thresholds, and by the numbers that move their input.
+
+    A play that moved last at some time changes as its input did then, and by -1 or 1 with its threshold.
+
+    x : (N,); moved : (number, N) its derivatives; r : (n,); w : (n, p)
+    plays, signs : (n,), held : (n, number) of each play: output, derivatives; updated in place
+    out : (n + number, p, N) derivatives, overwritten: by the thresholds first
+    """
+    n = len(r)
+    for t in range(len(x)):
+        out[n:, :, t] = 0.0
+        for i in range(n):
+            high, low = x[t] + r[i], x[t] - r[i]
+            if low > plays[i] or high < plays[i]:
+                signs[i] = -1.0 if low > plays[i] else 1.0
+                plays[i] = x[t] + signs[i] * r[i]
+                held[i] = moved[:, t]
+            for o in range(w.shape[1]):
+                out[i, o, t] = w[i, o] * signs[i]
+                for k in range(len(moved)):
+                    out[n + k, o, t] += w[i, o] * held[i, k]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from hammerstein.arrays import Array, Flags
 
 if TYPE_CHECKING:
     from hammerstein.hysteresis.kind import Hysteresis
+
+STEP = 1e-3
+"""Change of a free number for its derivative: plays bend where they engage, so that it is not too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +163,26 @@ class Identifiable(ABC):
             values.append(v[output])
             held.append(stood[output, 0])
         return np.array(values), np.array(held)
+
+    def bends(self, u_v: Array, before_v: Array, passes: int = 1) -> tuple[Array, Array]:
+        """Derivatives of the outputs by each free parameter, for the weights that the block has.
+
+        Returns
+        -------
+        values : (number, output, sample) [um]
+        held : (number, output) before the first sample
+        """
+        weights = cast("Hysteresis[Any]", self).weights
+
+        def outputs(block: Self) -> Array:
+            each = [block.columns(u_v, before_v, o, passes) for o in range(len(weights))]
+            return np.array([w @ np.column_stack(both[::-1]) for w, both in zip(weights, each, strict=True)])
+
+        now = outputs(self.at(self.free))
+        found = np.array(
+            [outputs(self.at(self.free + change)) - now for change in STEP * np.eye(len(self.free))]
+        )
+        return found[:, :, 1:] / STEP, found[:, :, 0] / STEP
 
     def column_choices(self, driven: Driven) -> Sequence[ColumnChoice]:
         """Sets of columns, the same for every output, from which cross-validation chooses; none by default.

@@ -34,6 +34,7 @@ _OWN_FORM = frozenset(
         "fit",
         "validation",
         "candidates",
+        "alone",
         "covariance",
         "records",
         "held",
@@ -81,6 +82,7 @@ class Fit(NotebookRepr):
     candidates : the models of these errors
     covariance : of all parameters of the model together
     records, held : the fitted and the validation records, without their initial rest
+    alone : another kind of hysteresis than plays, without dynamics
     """
 
     inputs: tuple[str, ...]
@@ -114,6 +116,7 @@ class Fit(NotebookRepr):
     covariance: ParameterCovariance | None
     records: tuple[Record, ...]
     held: tuple[Record, ...]
+    alone: Candidate | None = None
 
     def __repr__(self) -> str:
         errors = self.judged[self.kind].nrmse_percent

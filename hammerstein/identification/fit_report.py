@@ -117,6 +117,7 @@ def fit_of(
         invertibility=sentence,
         verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, residual),
         candidates=built.candidates,
+        alone=built.alone,
         covariance=known,
         records=task.records,
         held=held,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -19,6 +19,7 @@ from hammerstein.identification.initialisation import first_task, settle_s_of, s
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.model_selection import Trial, chosen, trial_of
+from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.parameter_covariance import parameter_covariance
 from hammerstein.identification.recorded import counted, voltages_of
@@ -58,8 +59,6 @@ def _told(work: Callable[P, T]) -> Callable[P, T]:
     return identified
 
 
-@_told
-@one_blas_thread()
 def identify(
     records: Sequence[Record],
     settings: Settings | None = None,
@@ -107,11 +106,43 @@ def identify(
     (array([3., 1., 1.]), True)
     """
     asked = settings or Settings()
-    plain = asked.hysteresis == PLAYS
-    settings = asked if plain else asked.without_auto()
-    if identifiable_kinds()[settings.hysteresis].passes_for_delay and settings.delay_samples is None:
+    prepared = fit_plays(records, asked, validation, progress)
+    return fit_kind(prepared, asked, name=name, instruments=instruments, progress=progress)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Records with the plays and linear models fitted to them: what the fit of any kind begins with.
+
+    given : records and validation records as they were given
+    """
+
+    given: tuple[tuple[Record, ...], tuple[Record, ...]]
+    task: Task
+    built: CandidateSet
+    curve: tuple[CurvePoint, ...]
+    settle_s: float
+    errors: Errors
+
+
+def settings_of_plays(asked: Settings, kind: str) -> Settings:
+    """With which settings plays are fitted before a kind of hysteresis."""
+    settings = asked if kind == PLAYS else asked.without_auto()
+    if identifiable_kinds()[kind].passes_for_delay and asked.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
-    tell = progress or (lambda _: None)
+    return settings.with_plays()
+
+
+@_told
+@one_blas_thread()
+def fit_plays(
+    records: Sequence[Record],
+    asked: Settings,
+    validation: Sequence[Record] = (),
+    progress: Progress | None = None,
+) -> Prepared:
+    """Fit plays and linear models, before any other kind; see ``identify``."""
+    settings, tell = settings_of_plays(asked, asked.hysteresis), progress or _silent
     ready = from_last_rest(records, settings.sensor, accept_order=settings.accept_order)
     held = (
         from_last_rest(validation, settings.sensor, accept_order=settings.accept_order) if validation else ()
@@ -121,30 +152,57 @@ def identify(
         refuse_one_way(ready)
     task, guesses, curve = first_task(ready, settings, tell)
     built = _build(task, guesses)
-    largest = built.best.candidate
-    response = responses(largest, ready, task.starts)
+    response = responses(built.best.candidate, ready, task.starts)
     refuse_noise(ready, response)
-    held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
+    settle_s = settle_s_of(guesses)
+    held_starts = _starts_of_held(held, built, settle_s, settings)
     tell("testing the models")
     built, trials = _kept(task, built)
+    errors = Errors({}, {}, held, held_starts, response, trials)
+    given = tuple(records), tuple(validation)
+    return Prepared(given, replace(task, progress=_silent), built, curve, settle_s, errors)
+
+
+@_told
+@one_blas_thread()
+def fit_kind(
+    prepared: Prepared,
+    asked: Settings,
+    *,
+    name: str,
+    instruments: Instruments | None = None,
+    progress: Progress | None = None,
+) -> tuple[HammersteinModel, Fit]:
+    """Fit the kind of hysteresis that is asked for behind plays that are known; see ``identify``."""
+    tell, plain = progress or _silent, asked.hysteresis == PLAYS
+    task, built, errors = replace(prepared.task, progress=tell), prepared.built, prepared.errors
+    settings = task.settings
     if not plain:
         task, built = with_hysteresis(replace(task, settings=asked), built)
         if built.untold:
+            records, validation = prepared.given
             classical = asked.with_plays()
             model, fit = identify(
                 records, classical, validation=validation, name=name, instruments=instruments, progress=tell
             )
             return model, replace(fit, not_identifiable=(built.untold, *fit.not_identifiable))
-        held_starts = _starts_of_held(held, built, settle_s_of(guesses), settings)
-    fitted = _scores(built, ready, task.starts, settings)
-    judged = _scores(built, held, held_starts, settings) if held else {}
-    errors = Errors(fitted, judged, held, held_starts, response, trials)
+        starts = _starts_of_held(errors.held, built, prepared.settle_s, settings)
+        errors = errors._replace(held_starts=starts)
+    errors = errors._replace(
+        fitted=_scores(built, task.records, task.starts, settings),
+        judged=_scores(built, errors.held, errors.held_starts, settings) if errors.held else {},
+    )
     tell("estimating the standard errors")
     known = parameter_covariance(
         built.best.candidate, task.records, task.starts, plain and built.best.blocks.fitted
     )
-    fit = fit_of(task, built, curve, errors, voltages_of(records, ready, task.starts), known)
+    voltages = voltages_of(prepared.given[0], task.records, task.starts)
+    fit = fit_of(task, built, prepared.curve, errors, voltages, known)
     return model_of(fit, built.best.candidate, name, instruments), fit
+
+
+def _silent(_: str) -> None:
+    """Nobody watches."""
 
 
 def _scores(

@@ -28,7 +28,7 @@ from hammerstein.identification.output_dynamics import (
     search_output_dynamics,
     sure_output_dynamics,
 )
-from hammerstein.identification.projection import fit_block
+from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
 from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
 from hammerstein.identification.score import Candidate, invertibility_of, score
 from hammerstein.identification.static.initial_state import (
@@ -111,7 +111,8 @@ def with_hysteresis(task: Task, built: CandidateSet) -> tuple[Task, CandidateSet
         plays = _better(task, plays, _plays_of(task))
     models = {**plays, name: FittedModel(found.candidate, before.blocks, axes)}
     notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
-    return task, replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
+    built = replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
+    return task, replace(built, alone=tried[0].candidate)
 
 
 def _plays_before(
@@ -181,11 +182,12 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Hammerste
     left: list[float] = []
     for turn, delay in enumerate(delays):
         like = _again(found[-1].block) if found else None
-        found.append(_before(task, thresholds_v, OutputDynamics((), delay), like))
+        found.append(_before(task, thresholds_v, OutputDynamics((), delay), like, ROUGHLY))
         left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
         if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
     nearest = _first_as_good(task, found)
+    nearest = _before(task, thresholds_v, nearest.behind, _again(nearest.block))
     begun = _begun_anew(task, thresholds_v, nearest, first=False)
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 
@@ -273,11 +275,12 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
     """
     free, least = _free_delay(task), math.inf
     found = OutputDynamics((), 0.0 if free else task.delay_samples)
-    whole = _before(task, thresholds_v, found, alone)
+    whole = _before(task, thresholds_v, found, alone, ROUGHLY)
     for turn in range(MOST_TURNS):
         late = free and turn == DELAY_TURN
         found = search_output_dynamics(task, whole.block.hysteresis, found, late)
-        whole = _before(task, thresholds_v, found, _again(whole.block) if turn else None)
+        like, enough = (_again(whole.block), ENOUGH) if turn else (None, ROUGHLY)
+        whole = _before(task, thresholds_v, found, like, enough)
         found = whole.behind
         begun = _begun_anew(task, thresholds_v, whole, first=turn == 0)
         moved = begun is not whole
@@ -337,11 +340,15 @@ def _starts_behind(
 
 
 def _before(
-    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None = None
+    task: Task,
+    thresholds_v: Thresholds,
+    found: OutputDynamics,
+    like: FittedBlock | None = None,
+    enough: float = ENOUGH,
 ) -> HammersteinFit:
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
-    block, found = _of_kind(late, thresholds_v, found, like)
+    block, found = _of_kind(late, thresholds_v, found, like, enough)
     candidate = replace(late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit)
     return HammersteinFit(candidate, found, block, task.starts)
 
@@ -351,7 +358,7 @@ def _dynamics(task: Task, found: OutputDynamics) -> AxesDynamics | StaticDynamic
 
 
 def _of_kind(
-    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None
+    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None, enough: float
 ) -> tuple[FittedBlock, OutputDynamics]:
     """A block of any kind by the one fit: behind it the axes are fitted along with its free numbers.
 
@@ -369,7 +376,7 @@ def _of_kind(
         block, ridge = chosen_columns(task, begins, driven, _dynamics(task, found), ridge)
         begins = [block]
     refined = not picked and (like is None or not like.rough)
-    fit = fit_block(task, begins, driven, found, refined=refined, ridge=ridge)
+    fit = fit_block(task, begins, driven, found, refined=refined, ridge=ridge, enough=enough)
     record = task.records[0]
     notes = [*fit.block.statements(record.inputs, record.outputs), *_bounded(task, fit.held)]
     if kind.passes_for_delay:

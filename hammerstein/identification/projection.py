@@ -31,7 +31,7 @@ from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, parameters_of
 from hammerstein.identification.output_dynamics import OutputDynamics
-from hammerstein.identification.score import columns_of
+from hammerstein.identification.score import bends_of, columns_of
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import (
@@ -58,8 +58,6 @@ NOWHERE = 1e-6
 """Change of every number under which a step goes nowhere."""
 ROUNDING = 1e-9
 """Rms error, in parts of the readings, below which nothing but rounding is left."""
-STEP = 1e-3
-"""Change of a free number for its derivative: plays bend where they engage, so that it is not too small."""
 AT_LIMIT = 1e-6
 """Distance from its limit under which a free number stands at it."""
 HELD = 1.5 * LEAST_SLOPE
@@ -94,6 +92,7 @@ def fit_block(
     *,
     refined: bool = True,
     ridge: float = 0.0,
+    enough: float = ENOUGH,
 ) -> BlockFit:
     """Parameters of a block, its axes and its weights that minimise the error together.
 
@@ -105,6 +104,7 @@ def fit_block(
     found : initial axes and delay
     refined : whether all parameters are fitted; otherwise only the weights
     ridge : penalty of the kind's roughness, relative to the power of its columns
+    enough : gain of a step, in parts of the error, under which the search has arrived
     """
     late = replace(task, delay_samples=found.delay_samples)
     if len(begins) > 1:
@@ -120,7 +120,7 @@ def fit_block(
         begins, found = [best.block], OutputDynamics(_axes_of(best, found), found.delay_samples)
     if refined:
         thinned = _Search(late, begins[0], driven, found, thinning(task.records) if found.axes else 1)
-        here = thinned.arrived(thinned.begun(), ENOUGH)
+        here = thinned.arrived(thinned.begun(), enough)
         begins, found = [here.block], OutputDynamics(_axes_of(here, found), found.delay_samples)
     search = _Search(late, begins[0], driven, found, ridge=ridge)
     return search.result(search.begun())
@@ -217,11 +217,12 @@ class _Search:
         if near is None:
             near = self.solved(block, [_moments(*both) for both in zip(tasks, x, strict=True)])
         moments = []
-        changed = [self.first.at(theta + change) for change in STEP * np.eye(s)]
+        if s:
+            extended = self._with_bends(
+                block, [one.kept for one in tasks], [one.coefficients for one in near]
+            )
         for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
-            bends = self._bends(changed, one.kept, near[o].coefficients, o)
-            more = tuple(map(_beside, one.kept, bends)) if s else one.kept
-            moments.append(_derived(replace(one, kept=more), own, near[o].coefficients))
+            moments.append(_derived(replace(one, kept=extended[o]) if s else one, own, near[o].coefficients))
         counts = [one.columns for one in tasks]
         firsts = [_first(moment, n) for moment, n in zip(moments, counts, strict=True)]
         solutions = self.solved(block, firsts)
@@ -303,23 +304,20 @@ class _Search:
             for record, start in zip(self.task.records, self.task.starts, strict=True)
         )
 
-    def _bends(
-        self, changed: Sequence[Identifiable], here: Sequence[Regressors], weights: Array, o: int
-    ) -> list[list[Regressors]]:
-        """Derivatives (record) (number) of an output by the numbers of the block, one changed in each."""
-        found: list[list[Regressors]] = [[] for _ in here]
-        for block in changed:
-            ahead = self._columns(block, o)
-            for i, (there, now) in enumerate(zip(ahead, here, strict=True)):
-                values, held = weights @ (there.values - now.values), weights @ (there.held - now.held)
-                found[i].append(Regressors(values[None] / STEP, np.array([held]) / STEP))
-        return found
-
-
-def _beside(kept: Regressors, bends: Sequence[Regressors]) -> Regressors:
-    """Columns, and derivatives behind them."""
-    each = [kept, *bends]
-    return Regressors(np.vstack([one.values for one in each]), np.concatenate([one.held for one in each]))
+    def _with_bends(
+        self, block: Identifiable, kept: Sequence[Sequence[Regressors]], weights: Sequence[Array]
+    ) -> list[tuple[Regressors, ...]]:
+        """Columns (output) (record), and behind them how the output changes with each number of the block."""
+        weighted = cast(Identifiable, cast("Hysteresis[Any]", block).with_weights(weights))
+        each = zip(self.task.records, self.task.starts, strict=True)
+        bends = [bends_of(weighted, record, start) for record, start in each]
+        return [
+            tuple(
+                Regressors(np.vstack([now.values, values[:, o]]), np.append(now.held, held[:, o]))
+                for now, (values, held) in zip(own, bends, strict=True)
+            )
+            for o, own in enumerate(kept)
+        ]
 
 
 def _moments(one: AxisTask, x: Array) -> Moments:

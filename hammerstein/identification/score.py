@@ -84,9 +84,23 @@ def columns_of(
     block: Hysteresis[Any] | Identifiable, record: Record, start: InitialState, o: int
 ) -> Regressors:
     """Response of output o to each of its weights alone, over a record, and before it."""
+    here, driven = _driven(block, record, start)
+    return Regressors(*here.columns(*driven[:2], o, driven[2]))
+
+
+def bends_of(block: Identifiable, record: Record, start: InitialState) -> tuple[Array, Array]:
+    """Derivatives (number, output, sample) of the outputs by the free numbers, and before the record."""
+    here, driven = _driven(block, record, start)
+    return here.bends(*driven)
+
+
+def _driven(
+    block: Hysteresis[Any] | Identifiable, record: Record, start: InitialState
+) -> tuple[Identifiable, tuple[Array, Array, int]]:
+    """The block as it counts in a record; voltages, those before, and how often they are played."""
     here = cast("Hysteresis[Any]", block).counted_from(record.rest_v).on_grid(record.sample_time_s)
     passes = 2 if start.kind == "repeated" else 1
-    return Regressors(*cast(Identifiable, here).columns(record.u_v, path_before(record, start), o, passes))
+    return cast(Identifiable, here), (record.u_v, path_before(record, start), passes)
 
 
 def path_before(record: Record, start: InitialState) -> Array:

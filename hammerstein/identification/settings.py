@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, ByValue
 from hammerstein.errors import InputError, Mistake
 from hammerstein.identification.operators import input_grids
 from hammerstein.identification.options import (
@@ -40,7 +40,7 @@ CHOICES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Settings:
+class Settings(ByValue):
     """Options of an identification.
 
     Parameters

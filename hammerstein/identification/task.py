@@ -104,7 +104,8 @@ class CandidateSet:
     """All fitted models: the best of each kind, and others by name.
 
     ``axes`` holds the fitted axes, also where the model has none; ``untold`` the parameters of the kind of
-    hysteresis that the records do not identify, so that plays are as good.
+    hysteresis that the records do not identify, so that plays are as good; ``alone`` that kind without
+    dynamics.
     """
 
     found: dict[Kind, FittedModel]
@@ -113,6 +114,7 @@ class CandidateSet:
     notes: tuple[str, ...] = ()
     others: tuple[tuple[str, FittedModel], ...] = ()
     untold: str = ""
+    alone: Candidate | None = None
 
     @property
     def best(self) -> FittedModel:

@@ -12,9 +12,10 @@ from hammerstein.blocks.voltages import Voltages
 from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii, identifiable
 from hammerstein.hysteresis.envelope_kernels import tanh_by_doubling
 from hammerstein.hysteresis.generalised import EnvelopeFile
+from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
@@ -211,6 +212,32 @@ def test_free_numbers_give_the_block_back(seed, tangent):
     u = walk(seed, 2)
     again = once.at(once.free)
     np.testing.assert_allclose(again.respond(u)[0], once.respond(u)[0], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_thresholds_stay_so_far_apart_that_readings_tell_two_from_one(seed):
+    """At a distance of 1e-9, weights grew to 4.5e8 um/V, and their sums gave a tenth of the true error."""
+    block, generator = random_model(seed).hysteresis, np.random.default_rng(seed)
+    free = block.free.copy()
+    crowded = generator.choice([1e-3, 0.5, 0.999], size=3) + 1e-6 * generator.standard_normal(3)
+    free[:3] = crowded
+    half = 0.5 * np.ptp(block.envelopes[0].voltages_v)
+    r = block.at(free).plays.pairs[0][0].thresholds_v / half
+    assert np.diff(r).min() > 0.99e-3
+    assert r[-1] < 1.0
+    np.testing.assert_allclose(r[1:], np.sort(crowded), atol=2.6e-3)
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+@pytest.mark.parametrize("tangent", [False, True])
+def test_derivatives_are_differences_of_the_outputs(tangent, passes, monkeypatch):
+    """In closed form, those of the plays hold the change of their input from when they last moved."""
+    monkeypatch.setattr(identifiable, "STEP", 1e-7)
+    block, generator = random_model(3, tangent=tangent).hysteresis, np.random.default_rng(3)
+    block = block.at(block.free).counted_from([0.7, -0.4])
+    driven = generator.uniform(-8.0, 8.0, (2, 200)), generator.uniform(-8.0, 8.0, (2, 3)), passes
+    for one, other in zip(block.bends(*driven), Identifiable.bends(block, *driven), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
 
 
 def measured(turns, end, seed=0, noise=0.0, samples=2500):
