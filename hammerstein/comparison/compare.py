@@ -105,8 +105,8 @@ def compare(
 ) -> Comparison:
     """Fit every kind of hysteresis and the linear models to the same records, and recommend one.
 
-    Each kind is fitted without a linear block and, if the plays have one, with the same one. Limits of a kind
-    are listed with it. All compensators drive the same model, the best one.
+    Plays are fitted once. Each other kind then begins with them, and is fitted without a linear block and
+    with its own. Limits of a kind are listed with it. All compensators drive the same model, the best one.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class Fitted:
     model, candidate : the model, and its form that predicts records
     starts, held_starts : initial states of the records, from that identification
     flags : effects that it cannot represent
-    seconds : processor time of its identification [s]; plays and linear models come from the same one
+    seconds : processor time of its identification with that of the plays before it [s]
     """
 
     name: str

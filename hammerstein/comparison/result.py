@@ -93,7 +93,7 @@ class Compared:
     folds_percent : cross-validation error on the fitted records in percent of the range; it decides the
         recommendation
     as_good : whether that is within 2 % or one standard error of the least
-    seconds : identification time [s]; plays and linear models share one identification
+    seconds : identification time with that of the plays before it [s]; models of one kind share it
     ns_a_sample : time of one sample of the model, all outputs together [ns]
     has_inverse : whether a compensator inverts it exactly
     inverse : that law, or why there is none
