@@ -140,6 +140,18 @@ def test_search_finds_the_model_that_made_the_periods(moves):
         assert after < 1e-3 * before
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_place_whose_derivatives_diverge_is_where_a_search_ends():
+    """A growing mode that nothing drives: squares of derivatives overflow, which ended in LinAlgError."""
+    truth = made_up()
+    grows = truth.A[:1] / 0.95 * 1.08
+    more = {name: np.vstack([getattr(truth, name), np.zeros((2, 2))]) for name in "BE"}
+    more |= {name: np.hstack([getattr(truth, name), float(name == "C") * np.ones((2, 2))]) for name in "CF"}
+    start = replace(truth, A=np.concatenate([truth.A, grows]), **more)
+    with ThreadPoolExecutor(1) as pool:
+        assert Search().run(start, periods(truth), pool) is start
+
+
 def test_an_interrupted_search_goes_on_from_its_file(tmp_path):
     truth, file = made_up(), tmp_path / "search.json"
     seen = periods(truth)

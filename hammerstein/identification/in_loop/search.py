@@ -85,6 +85,8 @@ class Search:
         cost = self._cost(found, errors, scale)
         for step in range(self.steps):
             hessian, gradient = self._normal(found, periods, pool, scale)
+            if not np.isfinite(hessian).all():
+                return found  # derivatives diverge where outputs do not: no step leads on
             size = np.sqrt(np.diag(hessian)) + 1e-9
             for _ in range(TRIES):
                 trial = found.at(found.vector() + self._step(hessian, gradient, size, mu, found.r.size))
@@ -125,8 +127,10 @@ class Search:
     ) -> tuple[Array, Array]:
         beyond, moved = found.fastest(self.margin)
         hessian, gradient = scale**2 * moved.T @ moved, -(scale**2) * moved.T @ beyond
-        for h, g in pool.map(lambda period: self._of_period(found, period), periods):
-            hessian, gradient = hessian + h, gradient + g
+        parts = pool.map(lambda period: self._of_period(found, period), periods)
+        with np.errstate(invalid="ignore"):  # of derivatives that diverge
+            for h, g in parts:
+                hessian, gradient = hessian + h, gradient + g
         return hessian, gradient
 
     def _of_period(self, found: LoopParameters, period: SettledPeriod) -> tuple[Array, Array]:
@@ -141,8 +145,9 @@ class Search:
         single = path.astype(np.float32)
         for first in range(0, len(source), WIDTH):
             differentiate(*numbers, found.factors, single, hits, source, target, first, period.warm, slopes)
-        slopes -= slopes.mean(axis=1, keepdims=True)
-        slopes *= np.reshape(period.weight, (-1, 1, 1)).astype(np.float32)
-        flat = slopes.reshape(-1, len(source))
-        right = flat.T @ error.ravel().astype(np.float32)
-        return (flat.T @ flat).astype(np.float64), right.astype(np.float64)
+        with np.errstate(all="ignore"):
+            slopes -= slopes.mean(axis=1, keepdims=True)
+            slopes *= np.reshape(period.weight, (-1, 1, 1)).astype(np.float32)
+            flat = slopes.reshape(-1, len(source))
+            right = flat.T @ error.ravel().astype(np.float32)
+            return (flat.T @ flat).astype(np.float64), right.astype(np.float64)
