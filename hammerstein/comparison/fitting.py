@@ -123,14 +123,13 @@ def fit_all(
 
     [plays] = fitted([PLAYS], settings, 0)
     behind = _with_dynamics(records, settings, plays) or _without_dynamics(settings)
-    found = [plays, *fitted(others, behind, 1)]
-    models = [model for one in found for model in one.models]
+    found = {PLAYS: plays, **dict(zip(others, fitted(others, behind, 1), strict=True))}
+    models = [model for one in found.values() for model in one.models]
     if not models and plays.error is not None:
         raise plays.error
-    each = zip([PLAYS, *others], found, strict=True)
     failed = [
         Failed(kind + WITH_DYNAMICS * bool(one.models), kind, str(one.error))
-        for kind, one in each
+        for kind, one in found.items()
         if one.error
     ]
     return models, failed
@@ -246,7 +245,5 @@ def _fitted(
             verdict=None,
             covariance=None,
         )
-    flags = fit.flags if best else ()
-    return Fitted(
-        name, hysteresis, replace(model, name=name), candidate, fit.starts, fit.held_starts, flags, seconds
-    )
+    model, flags = replace(model, name=name), fit.flags if best else ()
+    return Fitted(name, hysteresis, model, candidate, fit.starts, fit.held_starts, flags, seconds)

@@ -111,8 +111,8 @@ def with_hysteresis(task: Task, built: CandidateSet) -> tuple[Task, CandidateSet
         plays = _better(task, plays, _plays_of(task))
     models = {**plays, name: FittedModel(found.candidate, before.blocks, axes)}
     notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
-    built = replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
-    return task, replace(built, alone=tried[0].candidate)
+    alone = tried[0].candidate
+    return task, replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold, alone=alone)
 
 
 def _plays_before(

@@ -122,17 +122,17 @@ class Search:
             else total
         )
 
+    @np.errstate(all="ignore")  # derivatives may diverge
     def _normal(
         self, found: LoopParameters, periods: Sequence[SettledPeriod], pool: Executor, scale: float
     ) -> tuple[Array, Array]:
         beyond, moved = found.fastest(self.margin)
         hessian, gradient = scale**2 * moved.T @ moved, -(scale**2) * moved.T @ beyond
-        parts = pool.map(lambda period: self._of_period(found, period), periods)
-        with np.errstate(invalid="ignore"):  # of derivatives that diverge
-            for h, g in parts:
-                hessian, gradient = hessian + h, gradient + g
+        for h, g in pool.map(lambda period: self._of_period(found, period), periods):
+            hessian, gradient = hessian + h, gradient + g
         return hessian, gradient
 
+    @np.errstate(all="ignore")
     def _of_period(self, found: LoopParameters, period: SettledPeriod) -> tuple[Array, Array]:
         """Parts of the normal equations of one record."""
         path, hits = found.path(period.u, period.warm)
@@ -145,9 +145,8 @@ class Search:
         single = path.astype(np.float32)
         for first in range(0, len(source), WIDTH):
             differentiate(*numbers, found.factors, single, hits, source, target, first, period.warm, slopes)
-        with np.errstate(all="ignore"):
-            slopes -= slopes.mean(axis=1, keepdims=True)
-            slopes *= np.reshape(period.weight, (-1, 1, 1)).astype(np.float32)
-            flat = slopes.reshape(-1, len(source))
-            right = flat.T @ error.ravel().astype(np.float32)
-            return (flat.T @ flat).astype(np.float64), right.astype(np.float64)
+        slopes -= slopes.mean(axis=1, keepdims=True)
+        slopes *= np.reshape(period.weight, (-1, 1, 1)).astype(np.float32)
+        flat = slopes.reshape(-1, len(source))
+        right = flat.T @ error.ravel().astype(np.float32)
+        return (flat.T @ flat).astype(np.float64), right.astype(np.float64)
