@@ -23,8 +23,10 @@ from hammerstein.experiment.selection import (
 from hammerstein.metrics import METRICS, Row
 from hammerstein.signals import OneFrequency
 
-MOST_CLAUSES = 4  # conditions that are told one by one; more are told as ranges of frequency
-MOST_LABELS = 4  # compensators or models that are told in one clause
+MOST_RANGES = 2  # ranges of a sweep that are told one by one; more are counted
+MOST_COLUMNS = 4  # conditions in the table
+MOST_ROWS = 8  # compensators or models in the table
+MOST_LABELS = 3  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 NEVER_SETTLES = "does not settle in"  # of one that says that more cycles do not help
 SENSOR_CUT = "the sensor's range cut"  # those of another
@@ -62,11 +64,12 @@ def answer(report: Report, quote: Quote = str) -> str:
 
 
 def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
-    """The sentences of the answer, the figure that the scenario asks for first."""
+    """The result in one sentence, with a table where it has several numbers; then how the runs went."""
+    named = Contest.of(report, quote)
     compared = any(row.rms_um is not None for row in report.rows)
-    found = _compared(report, quote) if compared else map(Sentence, _loops(report))
-    before = [*_answered(report, quote), *_uncertain(report, quote)]
-    return [*map(Sentence, before), *found, Sentence(" ".join(_conduct(report)))]
+    found = _answered(report, quote) or _uncertain(report, named)
+    found = found or (_compared(report, named) if compared else _loops(report))
+    return [found, Sentence(" ".join(_conduct(report)))]
 
 
 @dataclass(frozen=True)
@@ -100,86 +103,63 @@ class Contest:
         return {label: value for label, value in found.items() if label not in self.diverging}
 
 
-def _answered(report: Report, quote: Quote) -> Iterator[str]:
+def _answered(report: Report, quote: Quote) -> Sentence | None:
     """The figure that answers the question, where the scenario names one: the largest of either sign."""
     name = report.scenario.answered_by
     if name is None:
-        return
+        return None
     found: dict[str, float] = {}
     for row in report.rows:
         if is_direct(report, row) and (value := getattr(row, name)) is not None:
             found[row.compensator] = max(value, found.get(row.compensator, value), key=abs)
-    if found:
-        ordered = sorted(found.items(), key=lambda item: abs(item[1]))
-        told = ", ".join(f"{quote(label)} {number(value)}" for label, value in ordered)
-        yield f"The {METRICS[name].meaning}: {told}."
+    ordered = sorted(found.items(), key=lambda item: abs(item[1]))
+    told = ", ".join(f"{quote(label)} {number(value)}" for label, value in ordered)
+    return Sentence(f"The {METRICS[name].meaning}: {told}.") if found else None
 
 
-def _uncertain(report: Report, quote: Quote) -> Iterator[str]:
-    """What the drawn actuators do: median and 95 % of the worst condition."""
+def _uncertain(report: Report, contest: Contest) -> Sentence | None:
+    """Median and 95 % limit over the drawn actuators, where each label is worst; the nominal one beside."""
     if not report.bands or report.scenario.uncertainty is None:
-        return
+        return None
     metric, words = banded_metric(report)
-    direct = {row.place for row in report.rows if is_direct(report, row)}
-    told_bands = [band for band in report.bands if band.metric == metric and band.place in direct]
-    trials = sorted({band.trial for band in told_bands}, key=lambda trial: trial or 0)
-    clauses = []
-    for trial in dict.fromkeys([*trials[:1], *trials[-1:]]):
-        told = listed(list(_worst_bands([band for band in told_bands if band.trial == trial], quote)))
-        clauses.append(told if trial is None else f"in trial {trial}: {told}")
-    if told_bands:
-        draws = report.scenario.uncertainty.draws
-        yield (
-            f"For {draws} random actuators, the {words} of the true position, median and 95 % limit: "
-            f"{'; '.join(clauses)}. For the nominal (undisturbed) actuator:"
-        )
+    nominal = {row.place: getattr(row, metric) for row in report.rows if is_direct(report, row)}
+    bands = [band for band in report.bands if band.metric == metric and band.place in nominal]
+    runs: dict[tuple[int | None, str], list[Band]] = {}
+    for band in bands:
+        runs.setdefault((band.trial, band.compensator), []).append(band)
+    rows = []
+    for trial, label in runs:
+        worst = max(runs[trial, label], key=lambda band: band.p95_um)
+        name = contest.named(label) + ("" if trial is None else f", trial {trial}")
+        rows.append((name, *map(number, (worst.median_um, worst.p95_um, nominal[worst.place]))))
+    at = ", at the worst frequency" if len({row.frequency_hz for row in report.rows}) > 1 else ""
+    return Sentence(
+        f"The {words} of the true position for {report.scenario.uncertainty.draws} random actuators{at}:",
+        (("[um]", "median", "95 % limit", "nominal actuator"), *rows),
+    )
 
 
-def _worst_bands(bands: Sequence[Band], quote: Quote) -> Iterator[str]:
-    """Median and 95 % limit of each label, in the row where it is worst."""
-    for label in dict.fromkeys(band.compensator for band in bands):
-        worst = max((band for band in bands if band.compensator == label), key=lambda band: band.p95_um)
-        yield f"{number(worst.median_um)} and {number(worst.p95_um)} um with {quote(label)}"
-
-
-def _compared(report: Report, quote: Quote) -> Iterator[Sentence]:
-    """Sentences on every merit, of the reading and of the true position.
-
-    The true position comes first, or the reading if the scenario's assessment is about it. With an ideal
-    sensor, both are the same and only one is given.
-    """
+def _compared(report: Report, contest: Contest) -> Sentence:
+    """The error of the true position, or of the reading if the scenario's assessment is about it."""
     target = "reference" if report.scenario.reference is not None else "prediction"
-    contest = Contest.of(report, quote)
     if is_path(report):
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         name, of = ("max_um", "reading") if report.reading_first else ("max_true_um", "true position")
-        told = f"worst {words} of the {of} from the {target}"
-        yield from _sentences(report.rows, f"{prefix}{name}", told, contest)
-        return
-    direct = [row for row in report.rows if is_direct(report, row)]
-    crossed = [row for row in report.rows if not is_direct(report, row)]
-    reads = report.reading_first or report.reads_truth
-    name, of = ("rms_um", "") if reads else ("rms_true_um", " of the true position")
-    if direct and 1 < len(by_condition(report.rows)) <= MOST_CLAUSES:
-        kinds = [{c: _values(r, name) for c, r in by_condition(k).items()} for k in (direct, crossed) if k]
-        yield _table(kinds, ("direct transfers", "cross-couplings"), f"rms error{of}", contest)
-        return
-    yield from _sentences(direct, name, f"rms error{of} (direct transfers)", contest)
-    if not report.bands:  # of drawn actuators, the answer is about their spread
-        yield from _sentences(crossed, name, f"rms error{of} (cross-couplings)", contest)
-
-
-def _sentences(rows: Sequence[Row], name: str, words: str, contest: Contest) -> Iterator[Sentence]:
-    inside = by_condition(rows)
-    conditions = sorted(inside, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
-    values = {c: found for c in conditions if (found := _values(inside[c], name))}
-    if 0 < len(values) <= MOST_CLAUSES:
-        yield _one_by_one(values, name, words, contest)
-    elif values:
-        values = {condition: contest.admitted(found) for condition, found in values.items()}
-        values = {condition: found for condition, found in values.items() if found}
-        if values:
-            yield from map(Sentence, _over_frequency(values, words, contest))
+        name, words = f"{prefix}{name}", f"worst {words} of the {of} from the {target}"
+        groups: list[list[Row]] = [list(report.rows)]
+    else:
+        reads = report.reading_first or report.reads_truth
+        name, words = ("rms_um", "rms error") if reads else ("rms_true_um", "rms error of the true position")
+        direct = [row for row in report.rows if is_direct(report, row)]
+        groups = [direct, [row for row in report.rows if not is_direct(report, row)]]
+    kinds = [{c: _values(rows, name) for c, rows in by_condition(group).items()} for group in groups if group]
+    ((condition, found), *more) = kinds[0].items()
+    if more or len(kinds) > 1:
+        return _table(kinds, words, contest)
+    texts = [f"{contest.named(n)} {number(v)} um{_share(condition, v, name)}" for n, v in found.items()]
+    if len(texts) > MOST_LABELS + 1:
+        texts = [*texts[:MOST_LABELS], f"largest: {texts[-1]}"]
+    return Sentence(f"The {words}: {', '.join(texts)}.")
 
 
 def _values(rows: Iterable[Row], name: str) -> dict[str, float]:
@@ -190,44 +170,41 @@ def _values(rows: Iterable[Row], name: str) -> dict[str, float]:
     return dict(sorted(known, key=lambda item: item[1]))
 
 
-def _one_by_one(
-    values: dict[Condition, dict[str, float]], name: str, words: str, contest: Contest
-) -> Sentence:
-    if len(values) > 1:
-        return _table([values], ("error",), words, contest)
-    ((condition, found),) = values.items()
-    texts = [f"{contest.named(n)} {number(v)} um{_share(condition, v, name)}" for n, v in found.items()]
-    if len(texts) > MOST_LABELS:
-        texts = [*texts[: MOST_LABELS - 1], f"largest: {texts[-1]}"]
-    return Sentence(f"The {words}: {', '.join(texts)}.")
+def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, contest: Contest) -> Sentence:
+    """Figures of one or two kinds: one row for each label, the best first, or for each run.
 
-
-def _table(
-    kinds: Sequence[dict[Condition, dict[str, float]]], heads: Sequence[str], words: str, contest: Contest
-) -> Sentence:
-    """Figures of one or two kinds: one row for each label, the best worst value first, or for each run."""
+    Of a long sweep some conditions are shown, and its sentence says who has the smallest value where.
+    """
     first = kinds[0]
-    names = told_apart(sorted(first, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0)))
-    worst: dict[str, float] = {}
-    for label, value in [pair for found in first.values() for pair in found.items()]:
-        worst[label] = max(value, worst.get(label, value))
+    ordered = sorted(first, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
+    names = told_apart(ordered)
+    labels = sorted({n for found in first.values() for n in found}, key=lambda n: (_typical(first, n), n))
+    shown = ordered
+    if len(ordered) > MOST_COLUMNS:  # the ends, the middle, and where the best one is worst
+        worst = max(ordered, key=lambda c: first[c].get(labels[0], 0.0))
+        kept = {ordered[0], ordered[len(ordered) // 2], worst, ordered[-1]}
+        shown = [condition for condition in ordered if condition in kept]
+    winners = [min(rest, key=rest.__getitem__) for c in ordered if (rest := contest.admitted(first[c]))]
+    best = ""
+    if len(ordered) > MOST_COLUMNS and len(labels) > 1 and winners:
+        ranges = _ranges([names[c] for c in ordered if contest.admitted(first[c])], winners, contest.winner)
+        best = f"; smallest{' direct error' * (len(kinds) > 1)}: {ranges}"
 
     def figures(condition: Condition, label: str) -> list[str]:
         return [number(found.get(condition, {}).get(label)) for found in kinds]
 
+    both = ", direct / cross-coupling" * (len(kinds) > 1)
     if any(len(found) > 1 for found in first.values()):
-        told = f", {' / '.join(heads)}" if len(kinds) > 1 else ""
-        head = ("[um]", *names.values())
-        labels = sorted(worst, key=lambda n: (worst[n], n))
-        rows = [(contest.named(n), *(" / ".join(filter(None, figures(c, n))) for c in names)) for n in labels]
-        return Sentence(f"The {words}{told}:", (head, *rows))
-    runs = [
-        (c, n, f"{names[c]}, {contest.named(n)}" if len(worst) > 1 else names[c])
-        for c in names
+        told = labels if len(labels) <= MOST_ROWS else [*labels[: MOST_ROWS - 1], labels[-1]]
+        rows = [(contest.named(n), *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
+        return Sentence(f"The {words}{both}{best}:", (("[um]", *(names[c] for c in shown)), *rows))
+    rows = [
+        (f"{names[c]}, {contest.named(n)}" if len(labels) > 1 else names[c], *figures(c, n))
+        for c in shown
         for n in first[c]
     ]
-    head = ("[um]", *heads[: len(kinds)])
-    return Sentence(f"The {words}:", (head, *((name, *figures(c, n)) for c, n, name in runs)))
+    heads = ("direct", "cross-coupling") if both else ("error",)
+    return Sentence(f"The {words}{best}:", (("[um]", *heads), *rows))
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -246,26 +223,6 @@ def _share(condition: Condition, value: float, name: str) -> str:
     return f" ({percent(value / condition.amplitude)})"
 
 
-def _over_frequency(values: dict[Condition, dict[str, float]], words: str, contest: Contest) -> Iterator[str]:
-    """Who has the smallest value where, and the course of the best one on the whole."""
-    names = told_apart(list(values))
-    winners = [next(iter(found)) for found in values.values()]
-    compared = len({label for found in values.values() for label in found}) > 1
-    best = min(
-        [n for n in dict.fromkeys(winners) if n not in contest.idle] or winners,
-        key=lambda label: _typical(values, label),
-    )
-    course = {names[condition]: found[best] for condition, found in values.items() if best in found}
-    ends = (min(course, key=course.__getitem__), max(course, key=course.__getitem__))
-    told = " to ".join(f"{number(course[at])} um ({at})" for at in dict.fromkeys(ends))
-    if not compared:
-        yield f"The {words} is {told}."
-        return
-    first = _ranges(list(names.values()), winners, contest.winner)
-    course_of = "" if len(set(winners)) == 1 and best == winners[0] else f"{contest.quote(best)} "
-    yield f"Smallest {words}: {first}; {course_of}{told}."
-
-
 def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
     """Geometric mean over the sweep: the large values near a resonance do not decide alone."""
     logarithms = [math.log(max(found[label], 1e-12)) for found in values.values() if label in found]
@@ -273,7 +230,7 @@ def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
 
 
 def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
-    """``A from 10 Hz to 40 Hz and B at 50 Hz``; counts where that gets long."""
+    """``A from 10 Hz to 40 Hz and B at 50 Hz``; who has most of them where that gets long."""
     groups: list[tuple[str, list[str]]] = []
     for name, label in zip(names, winners, strict=True):
         if not groups or groups[-1][0] != label:
@@ -281,10 +238,9 @@ def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
         groups[-1][1].append(name)
     if len(groups) == 1:
         return f"{quote(winners[0])} throughout"
-    if len(groups) > MOST_CLAUSES:
-        order = sorted(dict.fromkeys(winners), key=winners.count, reverse=True)
-        counts = [f"{quote(n)} in {winners.count(n)}" for n in order]
-        return listed([f"{counts[0]} of {len(winners)} runs", *counts[1:]])
+    if len(groups) > MOST_RANGES:
+        most = max(dict.fromkeys(winners), key=winners.count)
+        return f"{quote(most)} in {winners.count(most)} of {len(winners)} runs"
     return listed(
         [
             f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
@@ -293,25 +249,25 @@ def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
     )
 
 
-def _loops(report: Report) -> Iterator[str]:
+def _loops(report: Report) -> Sentence:
     """Height and width of the loops in the first and in the last run of a sweep."""
     measured = [row for row in report.rows if row.height_um is not None]
-    inside = by_condition(measured)
-    conditions = list(inside)
     if not measured:
-        yield "There is no reference to compare with: the figures show the sensor's readings."
-    for condition in dict.fromkeys([*conditions[:1], *conditions[-1:]]):
-        rows = inside[condition]
-        texts = [
-            f"{row.measured_axis} moves {number(row.height_um)} um from end to end, with a loop "
-            f"{number(row.width_percent)} % wide"
-            for row in rows
-            if is_direct(report, row)
-        ]
-        cross = largest((row for row in rows if not is_direct(report, row)), "height_um")
+        return Sentence("There is no reference to compare with: the figures show the sensor's readings.")
+    inside = by_condition(measured)
+    ends = list(dict.fromkeys([next(iter(inside)), next(reversed(inside))]))
+    lines: dict[str, list[str]] = {}
+    for condition in ends:
+        for row in (row for row in inside[condition] if is_direct(report, row)):
+            lines.setdefault(f"{row.measured_axis}, height [um]", []).append(number(row.height_um))
+            lines.setdefault(f"{row.measured_axis}, width [%]", []).append(number(row.width_percent))
+        cross = largest((row for row in inside[condition] if not is_direct(report, row)), "height_um")
         if cross is not None:
-            texts.append(f"the largest cross-coupling is {number(cross)} um from end to end")
-        yield f"At {condition.words()}: {'; '.join(texts)}."
+            lines.setdefault("largest cross-coupling, height [um]", []).append(number(cross))
+    head = ("loop", *(condition.words() for condition in ends))
+    return Sentence(
+        "The loops of the sensor's reading:", (head, *((n, *cells) for n, cells in lines.items()))
+    )
 
 
 def _grouped(runs: Sequence[str]) -> str:
@@ -355,7 +311,7 @@ def _conduct(report: Report) -> Iterator[str]:
     cut = sum(bool(row.saturated_samples) for row in runs.values())
     clipped = sum(SENSOR_CUT in statement for statement in report.statements)
     unsettled = [text.partition(": ")[0] for text in report.statements if NOT_SETTLED in text]
-    yield f"The drive's range cut {f'the voltage in {cut} of {len(runs)} runs' if cut else 'no voltage'}."
+    yield f"The drive's range cut the voltage in {cut} of {len(runs)} runs." if cut else "No voltage was cut."
     if clipped:
         yield f"The sensor's range cut the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
@@ -364,9 +320,8 @@ def _conduct(report: Report) -> Iterator[str]:
         after = (
             "raise settle_cycles or settle_s in [measure]" if helps else "more cycles do not help, see below"
         )
-        yield (
-            f"In {len(unsettled)} of {len(runs)} runs the loop had not settled: {_grouped(unsettled)}. Their "
-            f"figures still change from cycle to cycle: {after}."
-        )
+        named = f"{len(unsettled)} of {len(runs)} runs had not settled: {_grouped(unsettled)}"
+        named = named if len(unsettled) != len(runs) else "No run had settled"
+        yield f"{named}. These figures still change; {after}."
     elif isinstance(signal, OneFrequency) and signal.repeats and report.scenario.measure.measured_cycles > 1:
         yield "Every run had settled."

@@ -7,7 +7,6 @@ import itertools
 import json
 import os
 import pickle
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +29,7 @@ from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
 from hammerstein.reporting.figures.choice import figures_of, sweep_curves
-from hammerstein.reporting.summary import answer
+from hammerstein.reporting.summary import sentences
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.uncertainty import Uncertainty
 
@@ -376,8 +375,8 @@ def test_the_report_leads_with_the_trials(off):
     assert curve.x.tolist() == [1.0, 2.0, 3.0]
     median = np.asarray(curve.values)
     assert (median[:, 0, 1] < median[:, 0, 0]).all()
-    said = answer(report)
-    assert re.search(r"in trial 1: \S+ and \S+ um with learned; in trial 3: ", said)
+    table = sentences(report)[0].table
+    assert [row[0] for row in table] == ["[um]", *(f"learned, trial {n}" for n in (1, 2, 3))]
     assert report.to_frame()["trial"].tolist() == [1, 1, 2, 2, 3, 3]
 
 

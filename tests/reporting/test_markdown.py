@@ -20,7 +20,7 @@ from hammerstein.experiment.selection import number
 from hammerstein.metrics import KEY, METRICS, Row
 from hammerstein.reporting.figures import figures_of
 from hammerstein.reporting.run_page import KEYS, run_page
-from hammerstein.reporting.summary import answer
+from hammerstein.reporting.summary import answer, sentences
 from hammerstein.reporting.tables import number_tables
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
@@ -103,7 +103,7 @@ def test_answer_gives_the_worst_distances_with_their_part_of_the_radius() -> Non
     ]
     text = answer(replace(report, rows=tuple(rows)), quote=str.upper)
     assert text.startswith(
-        "The worst distance of the reading from the reference: PAPER 2.00 um (5 %), NONE 10.0 um (25 %). The "
+        "The worst distance of the reading from the reference: PAPER 2.00 um (5 %), NONE 10.0 um (25 %). No "
     )
 
 
@@ -125,7 +125,7 @@ def test_conditions_of_an_answer_are_points_of_a_list() -> None:
     )  # fmt: skip
     page = render(with_rms(two, lambda label, f: f / (10.0 if label == "paper" else 5.0)))
     assert (
-        "\nThe rms error, direct transfers / cross-couplings:\n\n"
+        "\nThe rms error, direct / cross-coupling:\n\n"
         "| [um] | 20 Hz | 50 Hz |\n"
         "| --- | ---: | ---: |\n"
         "| *paper* | 2.00 / 0.200 | 5.00 / 0.500 |\n"
@@ -141,9 +141,8 @@ def test_what_is_said_of_several_stands_once() -> None:
 def test_answer_tells_the_errors_of_a_single_frequency() -> None:
     text = answer(with_rms(sine(), lambda label, _: 3.0 if label == "paper" else 0.5))
     assert text == (
-        "The rms error (direct transfers): none 0.500 um, paper 3.00 um. "
-        "The rms error (cross-couplings): none 0.0500 um, paper 0.300 um. "
-        "The drive's range cut no voltage. Every run had settled."
+        "The rms error, direct / cross-coupling: [um]; 50 Hz, 40 um none; 0.500 / 0.0500 "
+        "paper; 3.00 / 0.300 No voltage was cut. Every run had settled."
     )
 
 
@@ -153,38 +152,68 @@ def test_beyond_the_paper_the_true_position_comes_first() -> None:
         for report in (circle(), sine())
     )
     assert answer(paths).startswith("The worst distance of the true position from the reference: ")
-    assert answer(sines).startswith("The rms error of the true position (direct transfers): ")
+    assert answer(sines).startswith("The rms error of the true position, direct / cross-coupling: ")
 
 
-def test_answer_tells_who_is_best_where_and_the_course_of_the_best() -> None:
+def test_answer_tells_who_is_best_where_and_shows_the_worst_of_the_best() -> None:
     def rms(label: str, frequency_hz: float) -> float:
-        return 1.0 + abs(frequency_hz - 20.0) if label == "paper" else 15.0
+        return 1.0 + abs(frequency_hz - 20.0) if label == "paper" else 15.0 + (frequency_hz == 50.0)
 
-    text = answer(with_rms(swept(), rms))
-    assert text.startswith(
-        "Smallest rms error (direct transfers): paper from 10 Hz to 30 Hz and none "
-        "(no compensator is better) from 40 Hz to 60 Hz; paper 1.00 um (20 Hz) to 41.0 um (60 Hz). "
-        "Smallest rms error (cross-couplings): "
+    found = sentences(with_rms(swept(), rms))[0]
+    assert found.words == (
+        "The rms error, direct / cross-coupling; smallest direct error: paper from 10 Hz to 30 Hz and none "
+        "(no compensator is better) from 40 Hz to 60 Hz:"
     )
+    assert found.table == (
+        ("[um]", "10 Hz", "40 Hz", "60 Hz"),
+        ("paper", "11.0 / 1.10", "21.0 / 2.10", "41.0 / 4.10"),
+        ("none", "15.0 / 1.50", "15.0 / 1.50", "15.0 / 1.50"),
+    )
+    other = sentences(with_rms(swept(), lambda label, f: rms(label, f) / (4.0 if label == "none" else 1.0)))
+    assert other[0].table[0] == ("[um]", "10 Hz", "40 Hz", "50 Hz", "60 Hz")
 
 
 def test_answer_counts_where_the_best_changes_too_often() -> None:
     text = answer(with_rms(swept(), lambda label, f: float((f % 20.0 == 0.0) == (label == "paper")) + 1.0))
-    assert ": paper in 3 of 6 runs and none (no compensator is better) in 3; " in text
+    assert "; smallest direct error: paper in 3 of 6 runs: " in text
+
+
+LINE = 105
+"""Letters of a line of an answer on a page of 1400 points."""
+
+
+def test_an_answer_has_three_lines_and_one_small_table() -> None:
+    """Twelve methods over six frequencies took eight lines."""
+    labels = [f"compensator {chr(97 + k)} at 50 Hz" for k in range(12)]
+    few = swept()
+    rows = [replace(row, compensator=n) for n in labels for row in few.rows if row.compensator == "paper"]
+    unsettled = [f"{n} at {f:g} Hz, axis x: the loop has not settled; try." for n in labels for f in (10, 60)]
+    report = with_rms(
+        replace(few, rows=tuple(rows), statements=tuple(unsettled)),
+        lambda label, f: 2.0 + (labels.index(label) + int(f)) % 5,
+    )
+    for one in (report, few, sine(), circle(), uncertain(), report_of(drive=SINE_V, sweep=SIX)):
+        found = sentences(one)
+        assert sum(-(-len(sentence.words) // LINE) for sentence in found) <= 3
+        (table,) = [sentence.table for sentence in found if sentence.table] or [()]
+        assert len(table) <= 9
+        assert all(len(row) <= 5 for row in table)
+    assert [row[0] for row in sentences(report)[0].table[1:]][-1] in labels
 
 
 def test_answer_describes_loops_where_there_is_nothing_to_compare_with() -> None:
     perfect = {"bandwidth_hz": float("inf"), "noise_um": 0.0, "resolution_um": 0.0}
-    found = re.match(
-        r"At 50 Hz, 10 V: x moves (\S+) um from end to end, with a loop (\S+) % wide; "
-        r"y moves (\S+) um from end to end, with a loop (\S+) % wide; the largest cross-coupling is (\S+) um",
-        answer(report_of(drive=SINE_V, instruments={"sensor": perfect})),
-    )
-    assert found is not None
+    table = sentences(report_of(drive=SINE_V, instruments={"sensor": perfect}))[0].table
+    assert table[0] == ("loop", "50 Hz, 10 V")
     # closed forms of the published table: 2 sum w (A - r), and the opening at zero voltage over it
-    assert [float(figure) for figure in found.groups()] == pytest.approx(
-        [2 * 58.40, 16.7, 2 * 50.57, 15.2, 2 * 2.08], rel=0.01
-    )
+    closed = {
+        "x, height [um]": 2 * 58.40,
+        "x, width [%]": 16.7,
+        "y, height [um]": 2 * 50.57,
+        "y, width [%]": 15.2,
+        "largest cross-coupling, height [um]": 2 * 2.08,
+    }
+    assert {name: float(figure) for name, figure in table[1:]} == pytest.approx(closed, rel=0.01)
 
 
 def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
@@ -192,7 +221,7 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     assert "The drive's range cut the voltage in 2 of 2 runs." in answer(cut)
     hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
     said = answer(hurried)
-    assert "In 2 of 2 runs the loop had not settled: duo_bimorph (2 runs, 50 Hz). " in said  # which ones
+    assert "No run had settled. These figures still change; " in said
     assert "raise settle_cycles or settle_s" in said  # and what follows
     assert "settled" not in answer(report_of(drive=SINE_V, measure={"measured_cycles": 1}))
     creeping = replace(
@@ -204,22 +233,22 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
 
 def test_many_loops_that_had_not_settled_are_counted_and_named_below() -> None:
     said = tuple(f"law {k} at {10 * k} Hz, axis x: the loop has not settled; try." for k in range(1, 6))
-    text = answer(replace(circle(), statements=said))
-    assert "the loop had not settled: 5 methods (5 runs, 10 to 50 Hz), listed below. " in text
-    assert "law 1 (1 run, 10 Hz); law 2" in answer(replace(circle(), statements=said[:3]))
+    text = answer(replace(swept(), statements=said))
+    assert "5 of 24 runs had not settled: 5 methods (5 runs, 10 to 50 Hz), listed below. These " in text
+    assert "law 1 (1 run, 10 Hz); law 2 (1 run, 20 Hz). " in answer(replace(swept(), statements=said[:2]))
 
 
 def test_an_answer_about_drawn_actuators_is_about_their_spread() -> None:
-    assert "cross-couplings" not in answer(uncertain())
+    assert "cross-coupling" not in answer(uncertain())
 
 
 def test_a_law_that_does_not_converge_never_wins() -> None:
     said = "paper: The inner iteration does not converge: slopes -2.77 to 15.2 um/V, spectral radius 1.182."
     best = with_rms(swept(), lambda label, f: 1.0 if label == "paper" else 15.0)
-    assert "(direct transfers): paper throughout" in answer(best)
-    text = answer(replace(best, statements=(said,)))
-    assert "paper throughout" not in text
-    assert "paper" not in text.split("cross-couplings")[0]
+    assert "smallest direct error: paper throughout" in answer(best)
+    found = sentences(replace(best, statements=(said,)))[0]
+    assert "paper" not in found.words
+    assert "paper (does not converge)" in [row[0] for row in found.table]
     few = replace(circle(), statements=(said,))
     assert "paper (does not converge) " in answer(few)
 
@@ -241,10 +270,11 @@ def test_an_uncertain_actuator_is_told_by_its_band_first() -> None:
     report = uncertain()
     direct = [b for b in report.bands if b.metric == "rms_true_um" and b.excited_axis == b.measured_axis]
     worst = max(direct, key=lambda band: band.p95_um)
-    assert (
-        f"{number(worst.median_um)} and {number(worst.p95_um)} um with none" in answer(report).split(".  ")[0]
-    )
-    assert answer(report).startswith("For 40 random actuators")
+    found = sentences(report)[0]
+    assert found.words == "The rms error of the true position for 40 random actuators:"
+    (nominal,) = [row.rms_true_um for row in report.rows if row.place == worst.place]
+    figures = (worst.median_um, worst.p95_um, nominal)
+    assert found.table[1] == ("none", *map(number, figures))
 
 
 def test_a_band_says_of_how_many_draws_it_is_and_what_it_holds() -> None:

@@ -18,6 +18,7 @@ from hammerstein.commands.cli import main
 from hammerstein.escaping import Markdown
 from hammerstein.model import HammersteinModel
 from hammerstein.regression.result import CheckResult, ScenarioCheck
+from hammerstein.reporting import page as page_module
 from hammerstein.reporting.check_page import check_page
 from hammerstein.reporting.figures.moved import courses_of, moved_figure
 from hammerstein.reporting.html.markup import html_of, inlined, link_to
@@ -336,6 +337,22 @@ def test_the_table_of_claims_is_as_wide_as_the_page(folder: Path, page: Page, wi
     table = "document.querySelector('#claims-of-the-paper ~ .scroll')"
     assert page.value(f"{table}.textContent").count("onerror") == 2  # id and statement
     assert page.value(f"{table}.scrollWidth - {table}.clientWidth") == 0
+
+
+WIDE = (
+    "## Numbers\n\n| compensator | frequency [Hz] | amplitude [um] | x, rms / worst | y, rms / worst "
+    "| distance, worst | radius, worst |\n|" + " --- |" * 7 + "\n"
+    "| with dynamics and PI feedback | 100 | 48 | 0.0187 / 0.0444 | 0.0111 / 0.0208 | 0.0472 | 0.0422 |\n"
+)
+
+
+def test_a_table_of_two_swept_quantities_fits_a_telephone(page: Page, tmp_path: Path) -> None:
+    """It scrolled sideways: 750 points of numbers on a page of 390, and 450 with its heads on one line."""
+    wide = page_module.Page(Markdown("# wide"), "wide", "wide", Markdown("so"), Markdown(WIDE))
+    (tmp_path / "wide.html").write_text(wide.html({}), encoding="utf-8")
+    opened(page, tmp_path / "wide.html", 390)
+    assert page.value("(e => e.scrollWidth - e.clientWidth)(document.querySelector('.scroll'))") == 0
+    assert page.value("document.querySelector('td:nth-child(4)').textContent") == "0.0187\xa0/ 0.0444"
 
 
 ROWS = "[...document.querySelector('#numbers ~ .scroll table').tBodies[0].rows]"

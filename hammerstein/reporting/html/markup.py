@@ -132,6 +132,8 @@ def _tabulated(tokens: Sequence[Token]) -> None:
         cells = [(cell, text) for cell, text in pairwise(inside) if cell.type == "td_open"]
         for number, (cell, text) in enumerate(cells):
             cell.attrSet("data-name", heads[number % len(heads)])
+            for child in text.children or ():  # a line may end after the stroke of "rms / worst"
+                child.content = child.content.replace(" / ", "\xa0/ ")
             if heads[number % len(heads)] == FOLDED and text.content:
                 text.children = [
                     _html("<details><summary>show</summary>"),
