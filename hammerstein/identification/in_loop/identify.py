@@ -141,6 +141,7 @@ class _Work:
         begun = linear_start(next(one for one in blocks if len(one.A) == len(best.found.B)), parts.seen)
         growing: tuple[Callable[[LoopParameters], LoopParameters | None], ...] = (
             lambda found: with_ends(begun),
+            lambda found: None if found.H.size else with_ends(found),  # the linear start led elsewhere
             partial(with_plays, periods=parts.seen),
             partial(with_band, low=middle, high=np.pi, periods=parts.seen),
             partial(with_band, low=0.0, high=middle, periods=parts.seen),
