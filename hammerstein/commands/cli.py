@@ -11,8 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from hammerstein.commands import (
-    comparing,
-    degaussing,
+    driving,
     export as export_command,
     records as record_commands,
     scenarios,
@@ -97,10 +96,10 @@ def _register() -> None:
         (start.show, "show stage.json"),
         (record_commands.loops, f"loops {records}"),
         (record_commands.identify, f"identify {records} --out own.json"),
-        (comparing.compare, f"compare {records} --operators 8 --dynamics second_order"),
-        (record_commands.compensate, "compensate stage.json path.csv --out drive.csv"),
-        (start.play, "play stage.json drive.csv --out played.csv"),
-        (degaussing.degauss, "degauss stage.json --out degauss.csv"),
+        (record_commands.compare, f"compare {records} --operators 8 --dynamics second_order"),
+        (driving.compensate, "compensate stage.json path.csv --out drive.csv"),
+        (driving.play, "play stage.json drive.csv --out played.csv"),
+        (driving.degauss, "degauss stage.json --out degauss.csv"),
         (export_command.export, "export stage.json --law exact_inverse --out c_code"),
         (scenarios.run, "run circle.toml"),
         (study_commands.sweep, "sweep circle.toml --out rows.csv"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -43,60 +43,41 @@ def export(
     """
     from hammerstein.commands.refusals import told_by_options
     from hammerstein.errors import InputError
+    from hammerstein.export.folder import ALWAYS, EXPORT, check_export, write_export
+    from hammerstein.export.request import request_of
+    from hammerstein.runtime.storage.staging import prepare_folder
 
-    if (model is None) == (check is None):
-        raise InputError("export", "give a model and --out DIR, or only --check DIR")
-    if check is not None:
-        _check(check, as_json)
+    if check is not None and model is None:
+        files = check_export(check)
+        if as_json:
+            tell_json({"check": str(check), "files": files})
+        else:
+            tell(f"{check}: all {len(files)} files match the model")
         return
+    if check is not None or model is None:
+        raise InputError("export", "give a model and --out DIR, or only --check DIR")
     if form not in FORMATS:
         raise InputError("--format", f"{form!r} is not one of {', '.join(FORMATS)}")
     if fmi not in (2, 3):
         raise InputError("--fmi", f"{fmi} is not one of 2, 3")
-    request = {
-        "fmi": fmi,
-        "options": words.options(),
-        "range_v": sent.ends,
-        "start_v": sent.begins,
-        "conditioned": sent.conditioned,
-        "accept_flagged": sent.accept_flagged,
-        "float32": float32,
-        "form": form,
-    }
-    assert model is not None  # the condition above
-    with told_by_options("compensate", words.own):
-        _write(model, law, out, sample_time, request, overwrite, as_json)
-
-
-def _check(folder: Path, as_json: bool) -> None:
-    from hammerstein.export.folder import check_export
-
-    files = check_export(folder)
-    if as_json:
-        tell_json({"check": str(folder), "files": files})
-    else:
-        tell(f"{folder}: all {len(files)} files match the model")
-
-
-def _write(
-    model: str,
-    law: str,
-    out: Path | None,
-    sample_time: float | None,
-    given: dict[str, Any],
-    overwrite: bool,
-    as_json: bool,
-) -> None:
-    from hammerstein.errors import InputError
-    from hammerstein.export.folder import ALWAYS, EXPORT, write_export
-    from hammerstein.export.request import request_of
-    from hammerstein.runtime.storage.staging import prepare_folder
-
     if out is None:
         raise InputError("--out", "name a folder for the code")
-    prepare_folder("--out", out, EXPORT, ALWAYS, overwrite)
-    request, loaded = request_of(model, law, sample_time, **given)
-    written = write_export(request, loaded, out, overwrite)
+    with told_by_options("compensate", words.own):
+        prepare_folder("--out", out, EXPORT, ALWAYS, overwrite)
+        request, loaded = request_of(
+            model,
+            law,
+            sample_time,
+            fmi=fmi,
+            options=words.options(),
+            range_v=sent.ends,
+            start_v=sent.begins,
+            conditioned=sent.conditioned,
+            accept_flagged=sent.accept_flagged,
+            float32=float32,
+            form=form,
+        )
+        written = write_export(request, loaded, out, overwrite)
     tell_kept(written.kept)
     if as_json:
         tell_json({"export": str(out), "statements": written.statements, "files": written.files})

@@ -11,6 +11,11 @@ import typer
 if TYPE_CHECKING:
     from hammerstein.compensators.drive_file import Terms
 
+RangeWords = Annotated[
+    str | None,
+    typer.Option("--range", metavar="LOW,HIGH", help="Allowed voltages; default: recorded range."),
+]
+
 
 @dataclass(frozen=True)
 class LawWords:
@@ -70,10 +75,7 @@ def _value(words: str) -> Any:
 class Sent:
     """Range of the drive, and initial state of the actuator."""
 
-    range_v: Annotated[
-        str | None,
-        typer.Option("--range", metavar="LOW,HIGH", help="Allowed voltages; default: recorded range."),
-    ] = None
+    range_v: RangeWords = None
     start: Annotated[
         str | None,
         typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path is zero there."),

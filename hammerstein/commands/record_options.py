@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from hammerstein.records.record import Record
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, also edited ones.")]
+AcceptOrder = Annotated[
+    bool, typer.Option("--accept-order", help="Accept the columns although an output leads.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 
@@ -278,9 +281,7 @@ class Identified:
         float, typer.Option(metavar="SECONDS", help="Known delay of the sensor; excluded from the model.")
     ] = 0.0
 
-    accept_order: Annotated[
-        bool, typer.Option("--accept-order", help="Accept the columns although an output leads.")
-    ] = False
+    accept_order: AcceptOrder = False
 
     def settings(self, **more: Any) -> Settings:
         """The settings, with what one command alone asks for."""

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hammerstein.commands.grouped import grouped, words_of
-from hammerstein.commands.law_options import LawWords, Reached, Sent
+from hammerstein.commands.jobs import PROCESSORS
 from hammerstein.commands.record_options import (
+    AcceptOrder,
     AsJson,
     HeldBack,
     Identified,
@@ -21,7 +22,7 @@ from hammerstein.commands.record_options import (
     RecordFiles,
     StaticBlock,
 )
-from hammerstein.commands.refusals import refuse_output, told_by_options, write_output
+from hammerstein.commands.refusals import refuse_output
 from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.commands.watch import Spinner
 
@@ -58,9 +59,7 @@ def loops(
         "reports"
     ),
     figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
-    accept_order: Annotated[
-        bool, typer.Option("--accept-order", help="Accept the columns although an output leads.")
-    ] = False,
+    accept_order: AcceptOrder = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -201,96 +200,53 @@ def _identified(
 
 
 @grouped
-def compensate(
-    *,
-    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
-    reference: Annotated[
-        Path, typer.Argument(help="CSV: time_s and one column for each axis; um if no unit is named.")
-    ],
-    law: Annotated[
-        str,
-        typer.Option(
-            help="hammerstein_inverse, exact_inverse, inverse_multiplicative, decoupled_inverse or none."
-        ),
-    ] = "hammerstein_inverse",
-    words: LawWords,
-    sent: Sent,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("drive.csv"),
-    cycle: Annotated[
-        bool,
-        typer.Option("--cycle", help="The path is one period; write one settled period."),
-    ] = False,
-    table: Annotated[
-        str | None, typer.Option(metavar="pi|nv200|csv", help="Write this period as a wave table.")
-    ] = None,
-    table_scale: Annotated[
-        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the unit of the table.")
-    ] = None,
-    table_points: Annotated[
-        int | None, typer.Option(min=2, help="Largest number of points of the table.")
-    ] = None,
-    learn: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            metavar="DRIVE MEASURED", help="Drive and measurement of a trial; writes the next drive."
-        ),
-    ] = None,
-    before: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            metavar="DRIVE MEASURED",
-            help="The previous trial: its drive is kept if the new trial is worse.",
-        ),
-    ] = None,
-    uncertainty: Annotated[
-        str | None,
-        typer.Option(
-            metavar="W,R",
-            help="Relative standard deviations of weights and resonances for --learn; default: 0.05,0.01.",
-        ),
-    ] = None,
-    reached: Reached,
+def compare(
+    recorded: RecordFiles,
+    held: HeldBack,
+    identified: Identified,
+    in_loop: InLoop,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")] = Path("compare"),
+    jobs: Annotated[
+        int, typer.Option(min=1, help="Parallel identifications.", show_default="the processors")
+    ] = PROCESSORS,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
-    """Compute the voltages that follow a path.
+    """Fit every kind of model to records and recommend one.
 
-    The predicted response is written beside them.
+    That is every kind of hysteresis, and linear models.
     """
-    from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
-    from hammerstein.commands.terminal_tables import compensation_table
-    from hammerstein.commands.watch import watched
-    from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
-    from hammerstein.errors import InputError
+    from hammerstein.commands.terminal_tables import comparison_table, facts_table, rates_table
+    from hammerstein.comparison.compare import compare as compared
+    from hammerstein.errors import naming
+    from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
+    from hammerstein.runtime.storage.staging import prepare_folder
 
-    if uncertainty is not None and learn is None:
-        raise InputError("--uncertainty", "applies to --learn; give --learn DRIVE MEASURED too")
-    if before is not None and learn is None:
-        raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
-    options = words.options()
-    wanted = TableRequest(table, table_scale, table_points)
-    wanted.check()
-    read = [Path(model), reference, *(learn or ()), *(before or ())]
-    refuse_output(out, read, wanted.owner(), overwrite)
-    periodic = cycle or table is not None or learn is not None
-    if periodic:
-        refuse_output(run_up_of(out), read, DRIVE, overwrite)
-    terms = reached.terms(sent)
-    with told_by_options("compensate", words.own), watched() as onlooker:
-        period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker, overwrite)
-        if periodic:
-            reached.refuse_with_period()
-        if learn is not None:
-            write_ilc_update(period, learn, uncertainty or "0.05,0.01", before)
-            return
-        if periodic:
-            write_cycle(period)
-            return
-        found = compensated(model, reference, law, options, terms, onlooker)
-        write_output(out, found.to_csv(onlooker.tell), wanted.owner(), overwrite)
+    settings, loop = identified.settings(), in_loop.settings(identified.order)
+    held.refuse_fitted(recorded.files)
+    prepare_folder("--out", out, COMPARISON, ALWAYS, overwrite)
+    records, validation = recorded.read(), held.read(recorded)
+    recorded.gains(records)
+    samples = sum(record.samples for record in records)
+    begun = f"comparing every kind of model on {samples} samples; long records take minutes"
+    with Spinner(begun) as spinner, naming("--hysteresis-in-loop", instead_of="in_loop"):
+
+        def watch(what: str, done: int, total: int) -> None:
+            spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)
+
+        found = compared(records, settings, validation=validation, in_loop=loop, jobs=jobs, progress=watch)
+    tell_kept(write_comparison(found, out, figures, overwrite))
     if as_json:
-        tell_json({"drive": str(out), **found.summary()})
+        tell_json(json.loads(found.to_json()), indent=1, sort_keys=True)
         return
-    show(compensation_table(found))
-    tell_statements(found.essentials())
-    tell(f"voltages in {out}, for the stage of model {found.model.origin}; see the notes below its columns")
+    show(comparison_table(found))
+    if len(found.frequencies_hz) > 1:
+        show(rates_table(found))
+    if found.failed:
+        show(facts_table("Not fitted", ((one.name, one.reason) for one in found.failed)))
+    for sentence in found.sentences():
+        tell(sentence)
+    tell(f"comparison and model files in {out}; open {out / 'compare.html'}")
+    if command := next_command(found, out):
+        tell(f"Next: {command}")

@@ -1,16 +1,21 @@
-"""Commands for a person who begins: a working folder, what a file holds, the guide, voltages on a model."""
+"""Commands for a person who begins: a working folder, what a file holds, the guide."""
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hammerstein.commands.record_options import AsJson, Overwrite
+from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import show as show_table, tell, tell_json
+
+STARTER, GUIDE = Path(__file__).parents[1] / "starter", Path(__file__).parents[1] / "guide"
+FIRST = ("start", "record", "identify", "compensators")
 
 
 def init(
@@ -30,16 +35,54 @@ def init(
 
     It has records, a model, a scenario, its numbers, and the next steps.
     """
-    from hammerstein.commands.working_folder import folder_of, own_folder
+    from hammerstein.runtime.storage.manifest import Owner
+    from hammerstein.runtime.storage.staging import behind_link, staged
 
+    brought = None if of is None else _brought_by(of)
+    with staged(behind_link(folder), Owner("init", single=True, listed=False)) as stage:
+        if brought is None:
+            stage.take(STARTER)
+        else:
+            for name, file in brought.items():
+                stage.write(name, file.read_bytes())
+        _refuse_existing(folder, stage.names)
     there = "" if folder == Path(".") else f"cd {shlex.quote(str(folder))}, then "
     if of is not None:
-        folder_of(of, folder)
         tell(f"scenarios in {folder}; {there}hammerstein run . or hammerstein check .")
         return
-    own_folder(folder)
     tell(f"the next steps are in {folder / 'README.md'}")
     tell(f"look at {folder / 'reports/circle/report.html'}; {there}hammerstein run .")
+
+
+def _brought_by(assessment: str) -> Mapping[str, Path]:
+    """The scenarios that a kind of assessment brings, and the numbers that were accepted for them.
+
+    Raises InputError where no such kind brings any.
+    """
+    from hammerstein.errors import InputError
+    from hammerstein.plugins import load_plugins
+    from hammerstein.scenario.assessment import ASSESSMENTS
+
+    load_plugins()
+    brought = {name: files for name, kind in ASSESSMENTS.kinds.items() if (files := kind.shipped())}
+    if assessment not in brought:
+        raise InputError("--of", f"nothing is available for {assessment!r}; give one of {', '.join(brought)}")
+    return brought[assessment]
+
+
+def _refuse_existing(target: Path, names: Sequence[str]) -> None:
+    """Refuse a folder that holds one of these files: nothing is ever written over; InputError names them.
+
+    A file or a link where a folder is to be stands in the way, too.
+    """
+    from hammerstein.errors import InputError
+
+    folders = {place for name in names for place in Path(name).parents if place != Path(".")}
+    there = [name for name in names if os.path.lexists(target / name)]
+    there += sorted(f.as_posix() for f in folders if (target / f).is_symlink() or (target / f).is_file())
+    if there:
+        listed = ", ".join(there[:5]) + (f" and {len(there) - 5} more" if len(there) > 5 else "")
+        raise InputError(str(target), f"already holds {listed}; nothing was written. Choose another folder")
 
 
 def show(
@@ -88,10 +131,6 @@ def guide(
     Console().print(Markdown(text))
 
 
-GUIDE = Path(__file__).parents[1] / "guide"
-FIRST = ("start", "record", "identify", "compensators")
-
-
 def guide_pages() -> dict[str, Path]:
     """Pages of the guide by name, those that a person begins with first."""
     found = {path.stem: path for path in sorted(GUIDE.glob("*.md"))}
@@ -100,35 +139,3 @@ def guide_pages() -> dict[str, Path]:
 
 def _title(page: Path) -> str:
     return page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-
-
-def play(
-    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
-    drive: Annotated[
-        Path, typer.Argument(help="CSV: time_s and one column for each input; V if no unit is named.")
-    ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the positions.")] = Path("played.csv"),
-    sensor: Annotated[
-        bool, typer.Option("--sensor", help="Simulate the model's converter and sensor, with noise.")
-    ] = False,
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
-) -> None:
-    """Simulate a model's response to voltages.
-
-    It is written to a file: the counterpart of compensate.
-    """
-    from hammerstein.commands.playing import PLAYED, played
-    from hammerstein.commands.refusals import refuse_output, write_output
-    from hammerstein.commands.terminal_tables import played_table
-    from hammerstein.commands.watch import watched
-
-    refuse_output(out, [Path(model), drive], PLAYED, overwrite)
-    with watched() as onlooker:
-        found = played(model, drive, sensor, onlooker)
-        write_output(out, found.to_csv(onlooker.tell), PLAYED, overwrite)
-    if as_json:
-        tell_json({"played": str(out), **found.summary()})
-        return
-    show_table(played_table(found))
-    tell(f"positions in {out}")

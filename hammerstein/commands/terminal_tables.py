@@ -186,11 +186,6 @@ def _narrow(table: Table) -> Table:
     return table
 
 
-def failed_table(found: Comparison) -> Table:
-    """One line for each kind that could not be fitted."""
-    return facts_table("Not fitted", ((one.name, one.reason) for one in found.failed))
-
-
 def gains_table(gains: Sequence[Gain]) -> Table:
     """One line a pair: how far the voltage went, how far the output, and their ratio."""
     table = _table("Content of the records", ("input", "output", "", "span_v", "span_um", "gain_um_per_v"))

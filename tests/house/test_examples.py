@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import hammerstein.examples
-from hammerstein.commands.working_folder import STARTER
+from hammerstein.commands.start import STARTER
 
 pytestmark = pytest.mark.full
 

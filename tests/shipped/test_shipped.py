@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hammerstein.commands.working_folder import STARTER
+from hammerstein.commands.start import STARTER
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.runtime.storage.manifest import Manifest, digest_of
 from shipped import paper_actuators, stacks, starter

@@ -1,0 +1,172 @@
+"""Commands on voltages of a model: those that follow a path or erase the past, and what they move."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hammerstein.commands.grouped import grouped
+from hammerstein.commands.law_options import LawWords, RangeWords, Reached, Sent, volts
+from hammerstein.commands.record_options import AsJson, Overwrite
+from hammerstein.commands.refusals import refuse_output, told_by_options, write_output
+from hammerstein.commands.terminal import show, tell, tell_json, tell_statements
+
+
+@grouped
+def compensate(
+    *,
+    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
+    reference: Annotated[
+        Path, typer.Argument(help="CSV: time_s and one column for each axis; um if no unit is named.")
+    ],
+    law: Annotated[
+        str,
+        typer.Option(
+            help="hammerstein_inverse, exact_inverse, inverse_multiplicative, decoupled_inverse or none."
+        ),
+    ] = "hammerstein_inverse",
+    words: LawWords,
+    sent: Sent,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("drive.csv"),
+    cycle: Annotated[
+        bool,
+        typer.Option("--cycle", help="The path is one period; write one settled period."),
+    ] = False,
+    table: Annotated[
+        str | None, typer.Option(metavar="pi|nv200|csv", help="Write this period as a wave table.")
+    ] = None,
+    table_scale: Annotated[
+        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the unit of the table.")
+    ] = None,
+    table_points: Annotated[
+        int | None, typer.Option(min=2, help="Largest number of points of the table.")
+    ] = None,
+    learn: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="DRIVE MEASURED", help="Drive and measurement of a trial; writes the next drive."
+        ),
+    ] = None,
+    before: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="DRIVE MEASURED",
+            help="The previous trial: its drive is kept if the new trial is worse.",
+        ),
+    ] = None,
+    uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            metavar="W,R",
+            help="Relative standard deviations of weights and resonances for --learn; default: 0.05,0.01.",
+        ),
+    ] = None,
+    reached: Reached,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Compute the voltages that follow a path.
+
+    The predicted response is written beside them.
+    """
+    from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
+    from hammerstein.commands.terminal_tables import compensation_table
+    from hammerstein.commands.watch import watched
+    from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
+    from hammerstein.errors import InputError
+
+    if uncertainty is not None and learn is None:
+        raise InputError("--uncertainty", "applies to --learn; give --learn DRIVE MEASURED too")
+    if before is not None and learn is None:
+        raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
+    options = words.options()
+    wanted = TableRequest(table, table_scale, table_points)
+    wanted.check()
+    read = [Path(model), reference, *(learn or ()), *(before or ())]
+    refuse_output(out, read, wanted.owner(), overwrite)
+    periodic = cycle or table is not None or learn is not None
+    if periodic:
+        refuse_output(run_up_of(out), read, DRIVE, overwrite)
+    terms = reached.terms(sent)
+    with told_by_options("compensate", words.own), watched() as onlooker:
+        period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker, overwrite)
+        if periodic:
+            reached.refuse_with_period()
+        if learn is not None:
+            write_ilc_update(period, learn, uncertainty or "0.05,0.01", before)
+            return
+        if periodic:
+            write_cycle(period)
+            return
+        found = compensated(model, reference, law, options, terms, onlooker)
+        write_output(out, found.to_csv(onlooker.tell), wanted.owner(), overwrite)
+    if as_json:
+        tell_json({"drive": str(out), **found.summary()})
+        return
+    show(compensation_table(found))
+    tell_statements(found.essentials())
+    tell(f"voltages in {out}, for the stage of model {found.model.origin}; see the notes below its columns")
+
+
+def degauss(
+    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("degauss.csv"),
+    frequency: Annotated[
+        float, typer.Option(min=1e-3, metavar="HZ", help="Frequency of the alternation.")
+    ] = 10.0,
+    cycles: Annotated[int, typer.Option(min=1, max=10_000, help="Periods until the amplitude is zero.")] = 40,
+    range_v: RangeWords = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a drive that erases an actuator's history.
+
+    The drive is a decaying alternation.
+    """
+    from hammerstein.compensators.degauss import degauss_drive
+    from hammerstein.compensators.drive_file import DRIVE, Terms
+    from hammerstein.model import HammersteinModel
+
+    refuse_output(out, [Path(model)], DRIVE, overwrite)
+    terms = Terms(volts("--range", range_v))
+    found = degauss_drive(HammersteinModel.load(model), frequency, cycles, terms)
+    write_output(out, found.to_csv(), DRIVE, overwrite)
+    if as_json:
+        figures = {"before_um": found.before_um.tolist(), "after_um": found.after_um.tolist()}
+        tell_json({"drive": str(out), **figures, "statements": found.statements()})
+        return
+    tell_statements(found.statements())
+    tell(f"voltages in {out}")
+
+
+def play(
+    model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
+    drive: Annotated[
+        Path, typer.Argument(help="CSV: time_s and one column for each input; V if no unit is named.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the positions.")] = Path("played.csv"),
+    sensor: Annotated[
+        bool, typer.Option("--sensor", help="Simulate the model's converter and sensor, with noise.")
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate a model's response to voltages.
+
+    It is written to a file: the counterpart of compensate.
+    """
+    from hammerstein.commands.playing import PLAYED, played
+    from hammerstein.commands.terminal_tables import played_table
+    from hammerstein.commands.watch import watched
+
+    refuse_output(out, [Path(model), drive], PLAYED, overwrite)
+    with watched() as onlooker:
+        found = played(model, drive, sensor, onlooker)
+        write_output(out, found.to_csv(onlooker.tell), PLAYED, overwrite)
+    if as_json:
+        tell_json({"played": str(out), **found.summary()})
+        return
+    show(played_table(found))
+    tell(f"positions in {out}")
