@@ -114,8 +114,7 @@ def write_ilc_update(
     asked: Period, trial: tuple[Path, Path], uncertainty: str, before: tuple[Path, Path] | None = None
 ) -> None:
     """Write the next period of a periodic path, from a trial."""
-    from hammerstein.compensators.learning.files import learn_from_files
-    from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty
+    from hammerstein.compensators.learning.ilc_update import ModelUncertainty, learn_from_files
     from hammerstein.errors import InputError
 
     deviations = volts("--uncertainty", uncertainty) or ()

@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.approach import approached
+from hammerstein.compensators.added_motion import approached, lead_in
 from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, compensator_of
 from hammerstein.compensators.drive_csv import Tell, drive_csv
-from hammerstein.compensators.lead_in import lead_in
 from hammerstein.compensators.path_file import UNWATCHED, Onlooker, read_path
 from hammerstein.compensators.prediction import Prediction
 from hammerstein.compensators.reach import Reach, Shortfall, reach

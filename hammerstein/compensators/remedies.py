@@ -11,8 +11,8 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators import Compensator
+from hammerstein.compensators.added_motion import lead_in
 from hammerstein.compensators.attempt import Attempt, sensorless_law, widened
-from hammerstein.compensators.lead_in import lead_in
 from hammerstein.compensators.reach import Reach
 from hammerstein.errors import HammersteinError
 from hammerstein.model import HammersteinModel

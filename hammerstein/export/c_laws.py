@@ -30,7 +30,7 @@ from hammerstein.export.c_blocks import (
     dynamics_part,
     envelopes_part,
 )
-from hammerstein.export.forward import ForwardModel
+from hammerstein.export.request import ForwardModel
 from hammerstein.hysteresis.asymmetric import ZoneLines
 
 

@@ -21,12 +21,11 @@ from hammerstein.escaping import C, Markdown, templates_of
 from hammerstein.export.c_blocks import CPart, Table
 from hammerstein.export.c_laws import c_law_of
 from hammerstein.export.compiling import FLAGS, CallShape, Library
-from hammerstein.export.forward import ForwardModel
 from hammerstein.export.golden import adverse
 from hammerstein.export.literals import identifier, in_single_precision, initializer
 from hammerstein.export.operations import Code, Cost
 from hammerstein.export.parallel_blocks import Beside
-from hammerstein.export.request import MODEL, Request
+from hammerstein.export.request import MODEL, ForwardModel, Request
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V
 from hammerstein.validation import Strict

@@ -9,7 +9,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
-from hammerstein.export.forward import ForwardModel
+from hammerstein.export.request import ForwardModel
 from hammerstein.model import HammersteinModel
 
 SAMPLES = 2000  # of the table that is shipped

@@ -1,20 +1,68 @@
-"""Request of an export: model, law with options, and limits of the drive."""
+"""Request of an export: model, law with options, limits of the drive, and the block that they make."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
+from hammerstein.arrays import Array
 from hammerstein.blocks import Law
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.attempt import sensorless_law
 from hammerstein.compensators.drive_file import Terms, allowed_range, refuse_flagged
+from hammerstein.dynamics import on_grid
 from hammerstein.errors import InputError
-from hammerstein.export.forward import ForwardModel
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Offset, Plain, SampleTime
 from hammerstein.validation import Strict, mistakes_in
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardState:
+    """Memory of the hysteresis, and state (n,) of the block behind it."""
+
+    hysteresis: Any
+    linear: Array
+
+
+class ForwardModel:
+    """Positions of the model for absolute voltages, from rest at the working point.
+
+    Parameters
+    ----------
+    model : hysteresis and dynamics
+    range_v : what the drive gives; the model itself does not cut
+    sample_time_s : for which each voltage is held [s]
+    """
+
+    def __init__(self, model: HammersteinModel, range_v: DriveRange, sample_time_s: float):
+        self.model, self.range, self.sample_time_s = model.on_grid(sample_time_s), range_v, sample_time_s
+        self.block = on_grid(model.dynamics, sample_time_s)
+        self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
+
+    preview_samples = 0
+
+    def statement(self) -> str:
+        """State the conditions before the first sample."""
+        return "Before the first sample the actuator rests at its working point."
+
+    def rest(self) -> ForwardState:
+        """State of an actuator that was never driven."""
+        return ForwardState(self.model.hysteresis.rest(), self.block.rest())
+
+    def respond(self, drive_v: ArrayLike, start: ForwardState | None = None) -> tuple[Array, ForwardState]:
+        """Positions (p, N) [um] for voltages (m, N), and the state after them."""
+        start = start or self.rest()
+        drive = np.atleast_2d(np.asarray(drive_v, dtype=np.float64))
+        v, plays = self.model.static_response(drive, start.hysteresis)
+        position, linear = self.block.respond(v, start.linear)
+        return position, ForwardState(plays, linear)
+
 
 MODEL = "model"
 """As a law: the actuator itself."""

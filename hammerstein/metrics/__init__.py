@@ -5,8 +5,7 @@ tolerances and baseline follow.
 """
 
 from hammerstein.metrics.arrays import LoopFigures, drift, euclidean, loop_figures, rms, worst
-from hammerstein.metrics.metric import METRICS, Measured, Metric, metric, metrics_of
-from hammerstein.metrics.row import KEY, Keyed, Row
+from hammerstein.metrics.metric import KEY, METRICS, Keyed, Measured, Metric, Row, metric, metrics_of
 
 __all__ = [
     "KEY",

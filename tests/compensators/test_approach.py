@@ -9,7 +9,7 @@ import theory
 
 from hammerstein import HammersteinModel
 from hammerstein.commands.cli import main
-from hammerstein.compensators.approach import approached
+from hammerstein.compensators.added_motion import approached
 from hammerstein.dynamics.models import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

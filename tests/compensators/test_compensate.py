@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from hammerstein.commands.cli import main
+from hammerstein.compensators.added_motion import lead_in
 from hammerstein.compensators.cycle import cycle_of
 from hammerstein.compensators.drive_file import compensate
-from hammerstein.compensators.lead_in import lead_in
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -79,6 +78,4 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
         return np.clip(drive, low[:, None], high[:, None]), state, left
 
 
-@exact_inverse_of.register
-def _(hysteresis: Generalised, model: HammersteinModel, *options: Any) -> GeneralisedInverseLaw:
-    return GeneralisedInverseLaw(hysteresis, model, *options)
+exact_inverse_of.register(Generalised, GeneralisedInverseLaw)

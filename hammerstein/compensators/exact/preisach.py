@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -75,6 +74,4 @@ def most_pieces(cells: int, turns: int) -> int:
     return 2 * (cells + turns // 2 + 2)
 
 
-@exact_inverse_of.register
-def _(hysteresis: Preisach, model: HammersteinModel, *options: Any) -> PreisachInverseLaw:
-    return PreisachInverseLaw(hysteresis, model, *options)
+exact_inverse_of.register(Preisach, PreisachInverseLaw)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -87,6 +86,4 @@ class RateDependentInverseLaw(ZonesInverse):
         return drive, DriveState(state, w["x"][:, 0].copy()), left
 
 
-@exact_inverse_of.register
-def _(hysteresis: RateDependent, model: HammersteinModel, *options: Any) -> RateDependentInverseLaw:
-    return RateDependentInverseLaw(hysteresis, model, *options)
+exact_inverse_of.register(RateDependent, RateDependentInverseLaw)

@@ -17,8 +17,7 @@ from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.instruments import standard_noise
 from hammerstein.blocks.law import require_grid
 from hammerstein.compensators.base import COMPENSATORS, Compensator
-from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
-from hammerstein.compensators.feedback.tuning import tuned
+from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains, tuned
 from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of

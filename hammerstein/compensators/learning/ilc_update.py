@@ -1,19 +1,89 @@
-"""Next drive of a periodic path, from the last drive and its sensor readings."""
+"""Next drive of a periodic path, from the last drive and its readings, where its model is certain enough."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
-from hammerstein.compensators.cycle import centred, played
-from hammerstein.compensators.learning.model_uncertainty import ModelUncertainty
-from hammerstein.errors import InputError
+from hammerstein.blocks.axis_names import column
+from hammerstein.compensators.cycle import Cycle, Design, centred, design_of, played
+from hammerstein.compensators.drive_file import Terms
+from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
+from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearised
+from hammerstein.errors import InputError, naming
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
+from hammerstein.signals.signal_files import read_signal
+
+DEVIATIONS = 2.0  # standard deviations that are counted on
+SURE = 0.5  # relative error up to which all of an error is learnt
+FAINT = 10.0  # how many times weaker than at rest a model is no longer believed
+WEIGHTS, RESONANCE = 0.05, 0.01
+"""Relative errors of weights and of a resonance where a model file states none."""
+
+
+@dataclass(frozen=True)
+class ModelUncertainty:
+    """Relative standard deviations of the weights and of the resonances of a model.
+
+    Learning through the inverse of a model is ``e+ = (1 - Q T) e`` at each frequency, with T what the
+    actuator does behind that inverse and Q a filter. Where ``|T - 1| <= delta < 1`` it converges for every Q
+    from 0 to 1, by ``1 - Q (1 - delta)`` a trial at worst. So Q is 1 up to delta = 1/2 and falls to 0 at
+    delta = 1.
+
+    Source: Bristow, Tharayil and Alleyne, A survey of iterative learning control, IEEE Control Systems
+    Magazine 26 (2006) 96-114.
+    """
+
+    weights: float = WEIGHTS
+    resonance: float = RESONANCE
+
+    def relative(self, model: HammersteinModel, frequency_hz: Array, sample_time_s: float) -> Array:
+        """Bound delta (frequency, output) of the relative error of the model, two standard deviations.
+
+        Infinite where the actuator responds with less than a tenth of what it does when it stands still:
+        there it is another one, and its inverse would ask for more than a drive has.
+        """
+        ends = model.hysteresis.amplitude(model.amplitude_v).sum(axis=1)
+        block = linearised(model.dynamics, sample_time_s, ends)
+        response, still = _diagonal(block, frequency_hz), np.abs(_diagonal(block, np.zeros(1)))
+        faint = np.abs(response) * FAINT < still
+        delta = np.where(faint, np.inf, DEVIATIONS * self.weights)
+        if not isinstance(model.dynamics, AxesDynamics) or self.resonance == 0.0:
+            return delta
+        worst = np.zeros(delta.shape)
+        for factor in (1.0 - DEVIATIONS * self.resonance, 1.0 + DEVIATIONS * self.resonance):
+            moved = self._gains(model.dynamics, frequency_hz, sample_time_s, factor)
+            worst = np.maximum(worst, np.abs(moved / response - 1.0))
+        return np.asarray(delta + worst)
+
+    @staticmethod
+    def _gains(dynamics: AxesDynamics, frequency_hz: Array, sample_time_s: float, factor: float) -> Complex:
+        """Response (frequency, output) of every axis with its resonance multiplied by a factor."""
+        axes = tuple(
+            axis.model_copy(update={"resonance_hz": factor * axis.resonance_hz})
+            if axis.resonance_hz
+            else axis
+            for axis in dynamics.axes
+        )
+        return _diagonal(discretise(dynamics.model_copy(update={"axes": axes}), sample_time_s), frequency_hz)
+
+    @staticmethod
+    def share(delta: Array) -> Array:
+        """Part Q of an error that is learnt, where the model is as uncertain as this."""
+        return np.asarray(np.clip((1.0 - delta) / (1.0 - SURE), 0.0, 1.0))
+
+
+def _diagonal(block: LinearBlock, frequency_hz: Array) -> Complex:
+    """Response (frequency, output) of each output to its own input."""
+    return np.asarray(np.diagonal(block.response(frequency_hz), axis1=1, axis2=2))
+
 
 SIGNIFICANT = 3.0  # standard deviations of white noise: what an error must exceed to be learnt
 LEAST_PERIODS = 3
@@ -206,3 +276,67 @@ def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:
     lines = np.fft.rfft(each - mean[:, None], axis=2)
     variance = (np.abs(lines) ** 2).sum(axis=1) / (periods - 1)
     return mean, np.asarray(np.sqrt(variance / periods))
+
+
+def learn_from_files(
+    model_path: str,
+    path: Path,
+    law: str,
+    options: Mapping[str, Any],
+    trial: tuple[Path, Path],
+    uncertainty: ModelUncertainty,
+    terms: Terms,
+    onlooker: Onlooker = UNWATCHED,
+    before: tuple[Path, Path] | None = None,
+) -> tuple[Cycle, IlcUpdate]:
+    """Next period of voltages, and what was learned from the trial.
+
+    Parameters
+    ----------
+    path : one period of the path
+    trial : the drive file that was played, and what the sensor read: ``time_s`` and one column an output in
+        um, whole settled periods, zero where the actuator stood before
+    uncertainty : relative uncertainty of the model
+    onlooker : receives the cost of the path before the work
+    before : the files of the trial before; its drive is kept if this trial was worse
+
+    Raises InputError for files that do not belong together, and what ``cycle_of`` does.
+    """
+    design = design_of(model_path, path, law, options, terms, onlooker)
+    found, _ = _taught(design, trial, uncertainty, terms.units)
+    if before is not None:
+        found = found.after(*_taught(design, before, uncertainty, terms.units))
+    return design.cycle(found.drive_v, terms), found
+
+
+def _taught(
+    design: Design, trial: tuple[Path, Path], uncertainty: ModelUncertainty, units: str | None
+) -> tuple[IlcUpdate, Array]:
+    """What the files of a trial teach, and its drive (m, N)."""
+    samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
+    drive = _drive_of(trial[0], design.model, samples)
+    _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST, units=units)
+    if resampled:
+        raise InputError(
+            str(trial[1]),
+            f"is not sampled every {time_s:g} s like the drive; record it at this sample time",
+        )
+    bandwidth = design.model.instruments.sensor.bandwidth_hz
+    with naming(str(trial[1]), instead_of=MEASURED):
+        found = ilc_update(
+            design.model, design.law, design.reference_um, drive, measured, uncertainty, bandwidth
+        )
+    return found, drive
+
+
+def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:
+    """Voltages (m, N) of a drive file, by the names of its columns."""
+    _, values, names = read_signal(path)
+    wanted = [column("drive", name, "v") for name in model.inputs]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise InputError(str(path), f"has no column {missing[0]}; give the drive file of this trial")
+    drive = np.ascontiguousarray(values[[names.index(name) for name in wanted]])
+    if drive.shape[1] != samples:
+        raise InputError(str(path), f"has {drive.shape[1]} rows, but a period of the path has {samples}")
+    return drive

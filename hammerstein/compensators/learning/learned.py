@@ -11,8 +11,7 @@ from hammerstein.blocks import Law, Learner
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.cycle import centred
-from hammerstein.compensators.learning.ilc_update import ilc_update
-from hammerstein.compensators.learning.model_uncertainty import RESONANCE, WEIGHTS, ModelUncertainty
+from hammerstein.compensators.learning.ilc_update import RESONANCE, WEIGHTS, ModelUncertainty, ilc_update
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Deviation, Frequency, Trial
 
