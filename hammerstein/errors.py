@@ -124,6 +124,13 @@ def all_of(work: Callable[[S], T], items: Iterable[S], what: str) -> list[T]:
     raise InputError(f"{len(failures)} {what}", mistakes)
 
 
+def labelled(name: str, error: HammersteinError) -> HammersteinError:
+    """The same error with a name before its message."""
+    if isinstance(error, InputError):
+        return InputError(f"{name}: {error.source}", error.mistakes)
+    return type(error)(f"{name}: {error}")
+
+
 class SimulationError(HammersteinError):
     """A simulation diverged, a law cannot converge, or a reference is out of reach."""
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
-from hammerstein.records.array_files import SUFFIXES
+from hammerstein.records.array_files import SUFFIXES, arrays_in
 from hammerstein.records.readers import PARQUET, refuse_missing
 from hammerstein.validation import mistakes_in
 
@@ -74,9 +74,6 @@ def contents_of(path: Path) -> Contents:
     if path.suffix.lower() == ".json":
         return _json(path)
     if path.suffix.lower() in SUFFIXES:
-        from hammerstein.records.array_files import arrays_in
-        from hammerstein.records.readers import refuse_missing
-
         refuse_missing(path)
         return Contents("arrays", tuple(arrays_in(path)))
     if path.suffix.lower() in PAGES:

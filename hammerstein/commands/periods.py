@@ -82,17 +82,12 @@ class Period(NamedTuple):
     onlooker: Onlooker
     overwrite: bool
 
-    @property
-    def run_up(self) -> Path:
-        """File of the run-up, beside that of the period."""
-        return run_up_of(self.out)
-
     def write(self, text: str, found: Cycle) -> None:
         """Write the period and its run-up."""
         from hammerstein.compensators.drive_file import DRIVE
 
         write_output(self.out, text, self.table.owner(), self.overwrite)
-        write_output(self.run_up, found.run_up_csv(), DRIVE, self.overwrite)
+        write_output(run_up_of(self.out), found.run_up_csv(), DRIVE, self.overwrite)
 
 
 def run_up_of(out: Path) -> Path:
@@ -131,8 +126,9 @@ def write_ilc_update(
 
 
 def _tell(asked: Period, figures: dict[str, Any], said: list[str], what: str) -> None:
+    run_up = run_up_of(asked.out)
     if asked.as_json:
-        tell_json({"drive": str(asked.out), "run_up": str(asked.run_up), **figures, "statements": said})
+        tell_json({"drive": str(asked.out), "run_up": str(run_up), **figures, "statements": said})
         return
     tell_statements(said)
-    tell(f"run-up in {asked.run_up}, {what} in {asked.out}")
+    tell(f"run-up in {run_up}, {what} in {asked.out}")

@@ -12,7 +12,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.compensators.drive_csv import Tell, drive_csv
 from hammerstein.compensators.drive_file import beyond_records
-from hammerstein.compensators.path_file import PLAYED_COST, UNWATCHED, Onlooker, PathWork
+from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, PathWork
 from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
@@ -88,7 +88,7 @@ def played(
             f"{np.diff(time_s)[np.argmax(uneven)]:.6g} s, the others after {sample_time_s:.6g} s; "
             "resample it",
         )
-    work = PathWork(len(time_s), sample_time_s, PLAYED_COST)
+    work = PathWork(len(time_s), sample_time_s, DRIVE_COST)
     work.refuse_too_large(drive_path)
     onlooker.begin(work)
     onlooker.tell("playing")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -90,9 +89,8 @@ def run(
     store, useless = kept_results.opened(fresh)
     if useless:
         complain(useless)
-    kind = "mat" if traces == "mat" else "csv" if traces == "csv" else None
-    writer = Writer(out, figures, cast("TraceFormat | None", kind), interactive, store, overwrite)
-    writer = replace(writer, png=png or page is not None)
+    kind = cast("TraceFormat | None", traces)
+    writer = Writer(out, figures, kind, interactive, store, overwrite, png=png or page is not None)
     writer.prepare(scenarios)
     if len(scenarios) > 1:
         prepare(out, OVERVIEW, [PAGE], overwrite)

@@ -3,25 +3,14 @@
 To add one to the package, write it in a file of its own and name it here.
 """
 
-from hammerstein.compensators.base import COMPENSATORS, Compensator
-from hammerstein.compensators.decoupled_inverse import DecoupledInverse
+from hammerstein.compensators.base import COMPENSATORS as COMPENSATORS, Compensator as Compensator
+from hammerstein.compensators.decoupled_inverse import DecoupledInverse as DecoupledInverse
 from hammerstein.compensators.exact import generalised, preisach, rate_dependent  # noqa: F401  # register inverses
-from hammerstein.compensators.exact.inverse import ExactInverse
-from hammerstein.compensators.feedback.pid import Feedback
-from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative
-from hammerstein.compensators.no_compensation import NoCompensation
-from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse
-
-__all__ = [
-    "COMPENSATORS",
-    "Compensator",
-    "DecoupledInverse",
-    "ExactInverse",
-    "Feedback",
-    "HammersteinInverse",
-    "InverseMultiplicative",
-    "NoCompensation",
-]
+from hammerstein.compensators.exact.inverse import ExactInverse as ExactInverse
+from hammerstein.compensators.feedback.pid import Feedback as Feedback
+from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative as InverseMultiplicative
+from hammerstein.compensators.no_compensation import NoCompensation as NoCompensation
+from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverse as HammersteinInverse
 
 for _kind in (
     NoCompensation,

@@ -89,7 +89,6 @@ class PathCost(NamedTuple):
 
 DRIVE_COST = PathCost(450.0, 15e-6)
 CYCLE_COST = PathCost(1300.0, 75e-6)
-PLAYED_COST = PathCost(450.0, 15e-6)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from hammerstein.errors import HammersteinError, InputError, LostProcessError, all_of
+from hammerstein.errors import HammersteinError, InputError, LostProcessError, all_of, labelled
 from hammerstein.experiment.plan import longest_first, plans_of
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import run
@@ -119,8 +119,4 @@ def _outcome(
 
 def _of(name: str, error: HammersteinError) -> HammersteinError:
     """The error with the name of its scenario."""
-    if str(error).startswith(name):
-        return error
-    if isinstance(error, InputError):
-        return InputError(f"{name}: {error.source}", error.mistakes)
-    return type(error)(f"{name}: {error}")
+    return error if str(error).startswith(name) else labelled(name, error)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -25,13 +25,17 @@ from hammerstein.scenario.uncertainty import Uncertainty
 TOGETHER = 25  # actuators that are worked out, and kept, in one piece
 
 
+@dataclass(frozen=True, eq=False)
 class Actuators(ABC):
     """Many actuators near the nominal one, in a form that another process can use.
 
     what : description for a person who watches
     """
 
-    what: str
+    uncertainty: Uncertainty
+    nominal: Plant
+    scenario_seed: int
+    what: ClassVar[str]
 
     @property
     @abstractmethod
@@ -162,9 +166,6 @@ NO_PART = {"draws", "sensitivity"}
 class DrawnActuators(Actuators):
     """Draws of an uncertain actuator; each has another noise."""
 
-    uncertainty: Uncertainty
-    nominal: Plant
-    scenario_seed: int
     what = "drawing actuators"
 
     @property

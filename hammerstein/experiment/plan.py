@@ -24,7 +24,7 @@ from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.compensators.learning import Learned
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.recording import RECORDED_BLOCK
-from hammerstein.experiment.sensitivity import evaluations, varying
+from hammerstein.experiment.sensitivity import evaluations
 from hammerstein.experiment.set_up import Window, driven_axes, law_of, loaded, plant_of, scenario_axes
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
 from hammerstein.model.simulation import Plant
@@ -289,7 +289,7 @@ def _on_drawn(
         "uncertainty.draws",
     )
     if uncertainty.sensitivity is not None:
-        parameters = len(varying(uncertainty, plant.model))
+        parameters = sum(parameter.varies for parameter in uncertainty.parameters(plant.model))
         count = evaluations(uncertainty.sensitivity, parameters)
         yield Part(
             f"{count} drawn actuators, ({parameters} + 2) x {uncertainty.sensitivity}, in {cases:.3g} runs "

@@ -32,11 +32,6 @@ TINY = 1e-12  # probability; a normal number has no value for 0
 LEAST_SPREAD = 1e-9  # standard deviation in parts of the mean; less is rounding and has no cause
 
 
-def varying(uncertainty: Uncertainty, model: HammersteinModel) -> list[Parameter]:
-    """Parameters that differ from draw to draw."""
-    return [parameter for parameter in uncertainty.parameters(model) if parameter.varies]
-
-
 def evaluations(samples: int, parameters: int) -> int:
     """Actuators that are run in every case: (d + 2) n."""
     return (parameters + 2) * samples
@@ -49,9 +44,6 @@ class _Exchanged(Actuators):
     All actuators meet the same noise, so that the parameters are the only cause.
     """
 
-    uncertainty: Uncertainty
-    nominal: Plant
-    scenario_seed: int
     parts: tuple[slice, ...]
     one: Array
     other: Array

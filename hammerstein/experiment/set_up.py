@@ -19,7 +19,7 @@ from hammerstein.blocks import Controller, Law, Learner
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
-from hammerstein.errors import HammersteinError, IdentificationError, InputError, Mistake, SimulationError
+from hammerstein.errors import IdentificationError, InputError, Mistake, SimulationError, labelled
 from hammerstein.experiment.trials import IlcRun, IlcRuns, whole_period
 from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
@@ -308,7 +308,7 @@ def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant
     try:
         return compensator.design(here, _range(model, plant), plant.sample_time_s)
     except (InputError, SimulationError) as error:
-        raise type(error)(*_labelled(f"compensator {compensator.label!r}", error)) from None
+        raise labelled(f"compensator {compensator.label!r}", error) from None
 
 
 def _range(model: HammersteinModel, plant: Plant) -> DriveRange:
@@ -318,12 +318,6 @@ def _range(model: HammersteinModel, plant: Plant) -> DriveRange:
         model,
         start_v=plant.model.recorded.working_point_v,
     )
-
-
-def _labelled(name: str, error: HammersteinError) -> tuple[Any, ...]:
-    if isinstance(error, InputError):
-        return f"{name}: {error.source}", error.mistakes
-    return (f"{name}: {error}",)
 
 
 def _models(
@@ -350,7 +344,7 @@ def _models(
             try:
                 found[key] = next(identified)
             except (InputError, SimulationError, IdentificationError) as error:
-                raise type(error)(*_labelled(f"identification of {source.label!r}", error)) from None
+                raise labelled(f"identification of {source.label!r}", error) from None
         models[source.label] = found[key]
     return models
 

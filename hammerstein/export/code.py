@@ -109,20 +109,13 @@ class CCode:
         """Signal (axis, sample) in which the dearest step is looked for, see ``golden.adverse``."""
         return adverse(self.block, self.model_on_grid, samples)
 
-    def counting(self) -> str:
-        """Return the same code in one file, counting its operations."""
-        return self._parsed.counting()
-
     def library(
         self, counting: bool = False, command: str | None = None, flags: Sequence[str] = FLAGS
     ) -> Library:
-        """Compile it here and load it; see ``Library``."""
-        text = self.counting() if counting else self.in_one_file()
+        """Compile it here, in one file, and load it; see ``Library``."""
+        plain = self.header() + self.source(None).replace(f'#include "{self.name}.h"\n', "")
+        text = self._parsed.counting() if counting else plain
         return Library(self.shape, text, counting, command, flags)
-
-    def in_one_file(self) -> str:
-        """Header and source, one after the other."""
-        return self.header() + self.source(None).replace(f'#include "{self.name}.h"\n', "")
 
     def header(self) -> str:
         """Text of the header."""
@@ -168,6 +161,7 @@ class CCode:
 
     def _rendered(self, template: str, measured: MeasuredCode | None) -> str:
         part = self._part
+        last = np.zeros(self.block.n_outputs) if self.is_model else self.block.range.start_v
         text = rendered(
             template,
             **self.context(),
@@ -175,7 +169,7 @@ class CCode:
             sizes=part.sizes,
             tables=[_Written(table, self.real) for table in part.tables],
             indices=[_Written(table, self.real) for table in part.indices],
-            at_start=initializer({**part.start, "last": self._last()}),
+            at_start=initializer({**part.start, "last": last}),
             about=[] if measured is None else self._about(measured),
             helpers=part.values.get("helpers", ()) if self.is_model else ("least", "most"),
         )
@@ -184,10 +178,6 @@ class CCode:
     @cached_property
     def _part(self) -> CPart:
         return c_law_of(self.block)
-
-    def _last(self) -> Array:
-        """Output before the first sample."""
-        return np.zeros(self.block.n_outputs) if self.is_model else self.block.range.start_v
 
     # ---- what stands at the top ----
 

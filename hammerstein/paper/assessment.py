@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from hammerstein.errors import HammersteinError
 from hammerstein.metrics import Row
@@ -17,6 +17,7 @@ from hammerstein.plugins import register
 from hammerstein.quantities import FileName, Trial
 from hammerstein.runtime.store import Store
 from hammerstein.scenario.assessment import Assessment
+from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     from hammerstein.experiment.report import Report
@@ -28,10 +29,8 @@ PAPER = (
 )
 
 
-class AlsoOn(BaseModel):
+class AlsoOn(Strict):
     """Another actuator that the claims are asked of, by the same scenario."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     actuator: FileName = Field(description="packaged actuator or model file")
 

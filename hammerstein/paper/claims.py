@@ -8,14 +8,12 @@ from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from hammerstein.metrics import KEY, Row
 from hammerstein.quantities import Agreed, Figure, Frequency, Size, Trial
 from hammerstein.scenario.assessment import MetricName
-
-_STRICT = ConfigDict(frozen=True, extra="forbid")
-
+from hammerstein.validation import Strict
 
 _REDUCE: dict[str, Callable[[Sequence[float]], float]] = {
     "max": max,
@@ -35,15 +33,13 @@ SIDES: dict[str, float] = {"octaves_below": -1.0, "octaves_above": 1.0}
 """Where a figure is followed from the frequency that a model was found at, and the sign of that."""
 
 
-class Quantity(BaseModel):
+class Quantity(Strict):
     """A number found in the rows of a report.
 
     ``metric`` of the rows that are selected, reduced by ``of``: in ``spread`` the largest is divided by the
     smallest; ``octaves_below`` and ``octaves_above`` count the octaves from ``found_hz`` to where it first
     is more than ``times`` what it is there. A sweep that ends before that gives no number.
     """
-
-    model_config = _STRICT
 
     metric: MetricName = Field(description="figure of merit, a column of the report")
     compensator: str | None = Field(default=None, description="label of the rows")
@@ -115,10 +111,8 @@ def held(figures: Iterable[tuple[float, float]], times: float) -> float:
     return math.nan
 
 
-class Agreement(BaseModel):
+class Agreement(Strict):
     """What counts as agreement: a relative distance from the paper's figure, or bounds."""
-
-    model_config = _STRICT
 
     within: Agreed | None = Field(default=None, description="relative distance from the paper's number")
     at_most: Figure | None = Field(default=None, description="largest value that agrees")
@@ -148,10 +142,8 @@ class Agreement(BaseModel):
         return ", ".join(part for part in parts if part)
 
 
-class Claim(BaseModel):
+class Claim(Strict):
     """A statement, the paper's figure for it, the simulated quantity, and what counts as agreement."""
-
-    model_config = _STRICT
 
     id: Annotated[str, Field(min_length=1)] = Field(description="short name")
     statement: Annotated[str, Field(min_length=1)] = Field(description="statement of the paper")

@@ -40,22 +40,13 @@ class Simulated:
     shown: str
 
     @classmethod
-    def of(cls, actuator: str, claim: Claim, runs: Sequence[Sequence[Row]]) -> Simulated:
-        """Judge a claim by the rows of all runs on an actuator; the first is the run itself."""
-        return cls.told(actuator, claim, [claim.value(rows) for rows in runs])
-
-    @classmethod
-    def told(cls, actuator: str, claim: Claim, values: Sequence[float]) -> Simulated:
+    def of(cls, actuator: str, claim: Claim, values: Sequence[float]) -> Simulated:
         """Judge a claim by its figure in every run; the first is of the run itself."""
         verdicts = {None if math.isnan(v) else claim.agreement.holds(v, claim.paper) for v in values}
         known = [value for value in values if math.isfinite(value)] or [math.nan]
         low, high = min(known), max(known)
         agrees = verdicts.pop() if len(verdicts) == 1 else None
         return cls(actuator, values[0], agrees, low, high, _shown(claim, low, high, len(values)))
-
-    def text(self) -> str:
-        """The figure with the digits that hold."""
-        return self.shown
 
     @property
     def word(self) -> str:
@@ -121,7 +112,7 @@ class Change:
         A single run is enough to say that it does not bring agreement; two of its digits are shown, or three
         where two would agree.
         """
-        found = Simulated.told("", claim, values)
+        found = Simulated.of("", claim, values)
         digits = 2 if claim.agreement.holds(float(f"{values[0]:.2g}"), claim.paper) is found.agrees else 3
         shown = found.shown if len(values) > 1 else f"{values[0]:.{digits}g}"
         return cls(factor, words, values[0], shown, found.agrees is True)
@@ -177,7 +168,7 @@ class ClaimJudgement(Judgement):
     def cells(self) -> dict[str, str]:
         """Its line in a table, by column: the scenario's own actuator; the details name the others."""
         own, *others = self.simulated
-        more = [f"Other actuators: {', '.join(f'{one.actuator} {one.text()}' for one in others)}"] * bool(
+        more = [f"Other actuators: {', '.join(f'{one.actuator} {one.shown}' for one in others)}"] * bool(
             others
         )
         return {
@@ -185,7 +176,7 @@ class ClaimJudgement(Judgement):
             "statement": self.statement,
             "reason": self.reason,
             "paper": self.printed,
-            "simulated": own.text(),
+            "simulated": own.shown,
             "ratio": self.ratio,
             "wanted": self.wanted,
             "judgement": self.word,
@@ -232,7 +223,8 @@ def _judged(
     rows = next(iter(runs_by_actuator.values()))[0]
     if not any(claim.selects(row) for row in rows):
         raise InputError(f"claim {claim.id}", "selects no row that has this metric; look into rms.csv")
-    simulated = tuple(Simulated.of(name, claim, runs) for name, runs in runs_by_actuator.items())
+    found = {name: [claim.value(rows) for rows in runs] for name, runs in runs_by_actuator.items()}
+    simulated = tuple(Simulated.of(name, claim, values) for name, values in found.items())
     own = simulated[0]
     unmet = own.agrees is False
     changes = tuple(changes_of(claim)) if unmet and not claim.calibrated else ()

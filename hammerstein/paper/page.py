@@ -183,4 +183,4 @@ def _table(judgements: Sequence[ClaimJudgement], actuators: Sequence[str]) -> li
 def _cell(one: Simulated | None) -> str:
     if one is None:
         return ""
-    return one.text() + {True: "", False: ", no", None: ", ?"}[one.agrees]
+    return one.shown + {True: "", False: ", no", None: ", ?"}[one.agrees]

@@ -158,7 +158,8 @@ def doubtful_clocks(records: Sequence[Record]) -> list[str]:
     found = []
     for record in records:
         rate_hz = 1.0 / record.sample_time_s
-        most = max(_reversals(u) for u in record.u_v[list(driven_inputs(record))])
+        driven = record.u_v[list(driven_inputs(record))]
+        most = max(len(turning_points(u, SWING * float(np.ptp(u)))) for u in driven) - 2
         if rate_hz < SLOW_HZ and 2.0 * record.samples > FINE * most:
             found.append(
                 f"{record.source}: {rate_hz:.4g} Hz for {record.samples / rate_hz:.4g} s, and the "
@@ -171,10 +172,6 @@ def doubtful_clocks(records: Sequence[Record]) -> list[str]:
                 "seconds, name their column t_s"
             )
     return found
-
-
-def _reversals(u: Array) -> int:
-    return len(turning_points(u, SWING * float(np.ptp(u)))) - 2
 
 
 def _explained(record: Record) -> float:

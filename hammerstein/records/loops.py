@@ -302,14 +302,10 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
     sign = _sign(u, y, path)
     u_start, y_start, u_stop, y_stop = path.tips
     closure = y_stop - y_start + _end_slope(u, smooth, path.turn) * (u_start - u_stop)
-    excursion = path.excursion
     return Loop(
         input=input_name,
         output=output_name,
-        start=excursion.start,
-        turn=excursion.turn,
-        stop=excursion.stop,
-        minor=excursion.minor,
+        **path.excursion._asdict(),
         amplitude_v=0.5 * (high - low),
         mid_v=mid,
         height_um=float(np.ptp(smooth)),

@@ -204,10 +204,10 @@ def _spikes(u: Array, y: Array, suspects: Flags, suspect_y: Flags) -> Flags:
     anywhere = np.any(suspects, axis=0)
     aside = suspect_y | _widened(anywhere)
     with_them, without = (y - _fit(v, y, aside) for v in (u, trial))
-    ratio = _ratio(_usual_error(without, aside), _usual_error(with_them, aside))
+    ratio = _ratio(*(_level(np.abs(error), aside, 0.5) for error in (without, with_them)))
     if ratio <= BETTER:
         return suspects
-    lost, limit = np.zeros_like(suspects), SURE * _large_error(np.abs(with_them), aside)
+    lost, limit = np.zeros_like(suspects), SURE * _level(np.abs(with_them), aside, 1.0 - USUAL)
     for start, stop in runs(anywhere) if ratio <= NO_WORSE else ():
         behind = np.s_[:, start : stop + LAGS[-1] + 2]
         near = [np.sqrt(np.mean(error[behind] ** 2, axis=1)) for error in (without, with_them)]
@@ -228,7 +228,7 @@ def _confirmed(u: Array, y: Array, suspects: Flags) -> tuple[Flags, Array]:
     for _ in range(ROUNDS):
         fit = _fit(u, y, lost)
         error = np.abs(y - fit)
-        limit = SURE * _large_error(error, lost) + SMALLEST * _span(fit)
+        limit = SURE * _level(error, lost, 1.0 - USUAL) + SMALLEST * np.ptp(fit, axis=1)
         again = suspects & (error > limit[:, None])
         if (again == lost).all():
             break
@@ -356,25 +356,11 @@ def _fit(u: Array, y: Array, aside: Flags) -> Array:
     return fit
 
 
-def _large_error(error: Array, aside: Flags) -> Array:
-    """Usual large error (output,): two percent of the samples that are not set aside have a larger one."""
+def _level(error: Array, aside: Flags, share: float) -> Array:
+    """Error (output,) below which this share of the samples lies that are not set aside; infinite of none."""
     return np.array(
         [
-            np.quantile(row[~flags], 1.0 - USUAL) if not flags.all() else np.inf
+            np.quantile(row[~flags], share) if not flags.all() else np.inf
             for row, flags in zip(error, aside, strict=True)
         ]
     )
-
-
-def _usual_error(residual: Array, aside: Flags) -> Array:
-    """Median absolute error of a fit (output,), without the excluded samples."""
-    return np.array(
-        [
-            np.median(np.abs(row[~flags])) if not flags.all() else np.inf
-            for row, flags in zip(residual, aside, strict=True)
-        ]
-    )
-
-
-def _span(values: Array) -> Array:
-    return np.asarray(np.ptp(values, axis=1))

@@ -82,7 +82,7 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     layout = find_layout(path)
     indices = _choose(path, wanted, layout.names, layout.width)
     own = unique(layout.names)
-    names = tuple(_label(index, own) for index in indices)
+    names = tuple((own[index] if own else "") or str(index + 1) for index in indices)
     units = [_unit_text(index, layout.names, layout.units) for index in indices]
     values, rows, text = read_text(path, layout, indices, names)
     return _columns(path, names, values, rows, units, text)
@@ -255,10 +255,6 @@ def _known(column: str, names: Sequence[str], width: int) -> str:
     suggestion = f"did you mean {near[0]}? " if near else ""
     listed = ", ".join(f"{k + 1} {name}" for k, name in enumerate(names[:20]) if name)
     return f"{suggestion}it has {listed}{', ...' if len(names) > 20 else ''}"
-
-
-def _label(index: int, names: Sequence[str]) -> str:
-    return names[index] if names and names[index] else str(index + 1)
 
 
 def _parquet_names(path: Path) -> list[str]:

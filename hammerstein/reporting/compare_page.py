@@ -41,7 +41,7 @@ def compare_page(found: Comparison, figures: Collection[str] = ()) -> Page:
 
 
 def write_comparison(
-    found: Comparison, folder: Path, figures: bool = True, overwrite: bool = False, models: bool = True
+    found: Comparison, folder: Path, figures: bool = True, overwrite: bool = False
 ) -> tuple[Path, ...]:
     """Write both pages, ``compare.json``, the figure and the file of every model: all of them, or none.
 
@@ -57,7 +57,7 @@ def write_comparison(
 
             drawn = dict(files_of({"compare": compared_figure(found)}))
         compare_page(found, drawn).write(stage, "compare", drawn)
-        for entry in found.entries if models else ():
+        for entry in found.entries:
             stage.write(entry.file, entry.model.to_json())
     return stage.kept
 

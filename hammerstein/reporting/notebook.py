@@ -87,7 +87,4 @@ def _(report: Report) -> Figure | None:
     return next(iter(figures_of(report).values()), None) if report.traces else None
 
 
-@picture_of.register(Fit)
-def _(fit: Fit) -> Figure | None:
-    """Loops as they were measured and as the model has them, if the records have any."""
-    return measured_loops(fit)
+picture_of.register(Fit, measured_loops)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from hammerstein.escaping import Markdown
@@ -91,12 +91,12 @@ def _once(report: Report, rows: Sequence[Row]) -> list[Row]:
     return [replace(row, compensator="") for row in shared.values()]
 
 
-def _lines(rows: Sequence[Row]) -> dict[tuple[str, Condition], list[Row]]:
+def _lines(rows: Sequence[Row]) -> Iterable[list[Row]]:
     """Rows that stand in one line: those of one label in one run or in its runs axis by axis."""
     lines: dict[tuple[str, Condition], list[Row]] = {}
     for row in rows:
         lines.setdefault((row.compensator, Condition.of(row)), []).append(row)
-    return lines
+    return lines.values()
 
 
 def _keys(rows: Sequence[Row]) -> list[str]:
@@ -112,16 +112,26 @@ def _place(rows: Sequence[Row]) -> str:
     return f" at {words}" if words else ""
 
 
-def _key_header(report: Report, rows: Sequence[Row]) -> tuple[str, ...]:
+def _table(
+    report: Report,
+    rows: Sequence[Row],
+    lines: Iterable[Sequence[Row]],
+    title: str,
+    heads: Iterable[str],
+    cells: Callable[[Sequence[Row]], Iterable[str]],
+    remark: str,
+) -> NumberTable:
+    """A line for each of these groups of rows: what tells it from the others, then its cells."""
     source = "compensator" if report.scenario.reference is not None else "model"
     amplitude = f"amplitude [{Condition.of(rows[0]).unit}]"
     words = {"label": source, "frequency_hz": "frequency [Hz]", "amplitude": amplitude, "trial": "trial"}
-    return tuple(words[key] for key in _keys(rows))
-
-
-def _key_cells(keys: Sequence[str], label: str, condition: Condition) -> tuple[str, ...]:
-    values = [label if key == "label" else getattr(condition, key) for key in keys]
-    return tuple(f"{v:.6g}" if isinstance(v, float | int) else v or "" for v in values)
+    keys, found = _keys(rows), []
+    for line in lines:
+        label, condition = line[0].compensator, Condition.of(line[0])
+        values = [label if key == "label" else getattr(condition, key) for key in keys]
+        told = (f"{v:.6g}" if isinstance(v, float | int) else v or "" for v in values)
+        found.append((*told, *cells(line)))
+    return NumberTable(title, (*(words[key] for key in keys), *heads), tuple(found), remark)
 
 
 def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
@@ -133,44 +143,42 @@ def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, re
         f"radial_max{which}_um": "radius, worst",
     } | ({} if which else {m.name: m.heading for m in report.scenario.metrics() if m.heading})
     present = {n: w for n, w in shared.items() if several and getattr(rows[0], n) is not None}
-    header = (
-        *_key_header(report, rows),
-        *(f"{axis}, rms / worst" for axis in report.axes),
-        *present.values(),
-    )
-    lines, keys = [], _keys(rows)
-    for (label, condition), inside in _lines(rows).items():
-        axes = [_rms_and_worst(row, which) for row in inside]
-        figures = [number(getattr(inside[0], name)) for name in present]
-        lines.append((*_key_cells(keys, label, condition), *axes, *figures))
-    return NumberTable(f"{title}{_place(rows)} [um]", header, tuple(lines), remark)
+    heads = (*(f"{axis}, rms / worst" for axis in report.axes), *present.values())
+
+    def cells(line: Sequence[Row]) -> Iterator[str]:
+        yield from (_rms_and_worst(row, which) for row in line)
+        yield from (number(getattr(line[0], name)) for name in present)
+
+    return _table(report, rows, _lines(rows), f"{title}{_place(rows)} [um]", heads, cells, remark)
 
 
 def _transfer_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
     """One column a transfer, as rms / worst."""
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
-    header = (*_key_header(report, rows), *(_transfer(report, *transfer) for transfer in transfers))
-    lines, keys = [], _keys(rows)
-    for (label, condition), inside in _lines(rows).items():
-        found = {(row.excited_axis, row.measured_axis): _rms_and_worst(row, which) for row in inside}
-        cells = [found.get(transfer, "") for transfer in transfers]
-        lines.append((*_key_cells(keys, label, condition), *cells))
-    return NumberTable(f"{title}{_place(rows)}, rms / worst [um]", header, tuple(lines), remark)
+    heads = (_transfer(report, *transfer) for transfer in transfers)
+
+    def cells(line: Sequence[Row]) -> Iterator[str]:
+        found = {(row.excited_axis, row.measured_axis): _rms_and_worst(row, which) for row in line}
+        yield from (found.get(transfer, "") for transfer in transfers)
+
+    return _table(
+        report, rows, _lines(rows), f"{title}{_place(rows)}, rms / worst [um]", heads, cells, remark
+    )
 
 
 def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     """A line for each transfer: how high and wide its loop is, gain and phase of its first harmonic."""
     unit = "um/V" if report.scenario.drive is not None else "um/um"
-    figures = ("height [um]", "width [um]", "width [%]", f"gain [{unit}]", "phase [deg]")
-    lines, keys = [], _keys(rows)
-    for row in rows:
-        values = (row.height_um, row.width_um, row.width_percent, row.gain)
-        phase = "" if row.phase_deg is None else f"{row.phase_deg:z.1f}"
-        transfer = _transfer(report, row.excited_axis, row.measured_axis)
-        cells = (*(number(value) for value in values), phase)
-        lines.append((*_key_cells(keys, row.compensator, Condition.of(row)), transfer, *cells))
-    header = (*_key_header(report, rows), "transfer", *figures)
-    return NumberTable(f"Loops of the sensor's reading{_place(rows)}", header, tuple(lines), remark)
+    heads = ("transfer", "height [um]", "width [um]", "width [%]", f"gain [{unit}]", "phase [deg]")
+
+    def cells(line: Sequence[Row]) -> Iterator[str]:
+        (row,) = line
+        yield _transfer(report, row.excited_axis, row.measured_axis)
+        yield from map(number, (row.height_um, row.width_um, row.width_percent, row.gain))
+        yield "" if row.phase_deg is None else f"{row.phase_deg:z.1f}"
+
+    title = f"Loops of the sensor's reading{_place(rows)}"
+    return _table(report, rows, ([row] for row in rows), title, heads, cells, remark)
 
 
 def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
@@ -180,19 +188,19 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     bands = {b.place: b for b in report.bands if b.metric == metric}
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     transfers = transfers[:1] if path else transfers
-    names = ["all axes"] if path else [_transfer(report, *transfer) for transfer in transfers]
-    lines, keys = [], _keys(rows)
-    for (label, condition), inside in _lines(rows).items():
-        found = {(row.excited_axis, row.measured_axis): bands.get(row.place) for row in inside}
-        cells = [_band(found.get(transfer)) for transfer in transfers]
-        lines.append((*_key_cells(keys, label, condition), *cells))
+    heads = ["all axes"] if path else [_transfer(report, *transfer) for transfer in transfers]
+
+    def cells(line: Sequence[Row]) -> Iterator[str]:
+        found = {(row.excited_axis, row.measured_axis): bands.get(row.place) for row in line}
+        yield from (_band(found.get(transfer)) for transfer in transfers)
+
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
     title = (
         f"Spread over the drawn actuators{_place(rows)}: {words} of the true position, median (5 to 95 % of "
         f"{draws} draws, which contain at least {100.0 * share_held(draws):.0f} % of such actuators with "
         "95 % confidence) [um]"
     )
-    return NumberTable(title, (*_key_header(report, rows), *names), tuple(lines), remark)
+    return _table(report, rows, _lines(rows), title, heads, cells, remark)
 
 
 def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
@@ -201,19 +209,19 @@ def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTa
     own = [found for found in report.sensitivities if found.metric == metric]
     parameters = list(dict.fromkeys(found.parameter for found in own))
     known = {(*found.place, found.parameter): found for found in own}
-    lines, keys = [], _keys(rows)
-    for row in rows:
-        found = [known.get((*row.place, parameter)) for parameter in parameters]
-        if any(found):
-            transfer = _transfer(report, row.excited_axis, row.measured_axis)
-            key = _key_cells(keys, row.compensator, Condition.of(row))
-            lines.append((*key, transfer, *(_index(one) for one in found)))
+    places = {found.place for found in own}
+
+    def cells(line: Sequence[Row]) -> Iterator[str]:
+        (row,) = line
+        yield _transfer(report, row.excited_axis, row.measured_axis)
+        yield from (_index(known.get((*row.place, parameter))) for parameter in parameters)
+
     title = (
         f"Causes of the spread{_place(rows)}: share of the variance of the {words} of the true position, for "
         f"each parameter with its interactions (95 % limits); {TOO_FEW}: the parameter alone has more"
     )
-    header = (*_key_header(report, rows), "transfer", *parameters)
-    return NumberTable(title, header, tuple(lines), remark)
+    lines = ([row] for row in rows if row.place in places)
+    return _table(report, rows, lines, title, ("transfer", *parameters), cells, remark)
 
 
 def _index(found: Sensitivity | None) -> str:

@@ -110,7 +110,7 @@ def test_what_ends_with_the_sweep_is_no_verdict():
     assert judgement.word == "undecided"
     assert not judgement.agrees
     assert judgement.reason == "The sweep ends before the value is reached."
-    assert judgement.simulated[0].text() == "beyond the sweep"
+    assert judgement.simulated[0].shown == "beyond the sweep"
     assert list(judgement.numbers()) == []
 
 
@@ -131,16 +131,16 @@ def test_what_ends_with_the_sweep_is_no_verdict():
 def test_a_claim_is_judged_where_all_seeds_and_sample_times_agree(values, word, shown):
     runs = [(_row(value, 200),) for value in values]
     (judgement,) = judgements([_claim({"at_most": 2.0})], {"plant": runs})
-    assert (judgement.word, judgement.simulated[0].text()) == (word, shown)
+    assert (judgement.word, judgement.simulated[0].shown) == (word, shown)
 
 
 def test_a_ratio_to_noise_is_more_than_its_lower_end():
     over = {"metric": "rms_um", "compensator": "b"}
     runs = [(_row(300.0, 200), _row(by, label="b")) for by in (1.0, 0.5)]
     (judgement,) = judgements([_claim({"at_least": 5.0}, over=over)], {"plant": runs})
-    assert judgement.simulated[0].text() == "more than 300"
+    assert judgement.simulated[0].shown == "more than 300"
     (bounded,) = judgements([_claim({"at_least": 5.0, "at_most": 9e3}, over=over)], {"plant": runs})
-    assert bounded.simulated[0].text() == "300 to 600"
+    assert bounded.simulated[0].shown == "300 to 600"
 
 
 def _changed(*changes):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from hammerstein.comparison.result import Compared, Comparison, Left
+from hammerstein.comparison.result import Comparison, Left
 from hammerstein.identification.score import Score
 from hammerstein.reporting.figures.style import (
     COLOURS,
@@ -46,11 +46,11 @@ def compared_figure(found: Comparison) -> Figure:
     with styled():
         figure = new_figure(1.5 + 0.34 * max(5, len(names)))
         panels = figure.subplots(1, 2)
-        entries: dict[str, Artist] = {}
-        told, at = ("validation", "held_at") if found.held else ("fitted", "fitted_at")
+        fitted = [entry.fitted_at for entry in found.entries]
+        entries = _draw_errors(panels[0], fitted, "fitted", hollow=bool(found.held))
         if found.held:
-            entries |= _draw_errors(panels[0], found, "fitted", "fitted_at", hollow=True)
-        entries |= _draw_errors(panels[0], found, told, at, hollow=False)
+            held = [entry.held_at for entry in found.entries]
+            entries |= _draw_errors(panels[0], held, "validation", hollow=False)
         _draw_left(panels[1], [entry.left for entry in found.entries])
         quantities = ("rms error [% of range]", "error of its compensator [%]")
         for number, (axes, label) in enumerate(zip(panels, quantities, strict=True)):
@@ -66,21 +66,19 @@ def compared_figure(found: Comparison) -> Figure:
     return figure
 
 
-def _draw_errors(axes: Axes, found: Comparison, told: str, at: str, hollow: bool) -> dict[str, Artist]:
+def _draw_errors(
+    axes: Axes, scores: Sequence[Mapping[float, Score]], told: str, hollow: bool
+) -> dict[str, Artist]:
     """Errors of every model at each frequency."""
     drawn: dict[str, Artist] = {}
-    for number, hz in enumerate(_scores(found.entries[0], at)):
+    for number, hz in enumerate(scores[0]):
         colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
-        values = [max(_scores(entry, at)[hz].mean_percent, LEAST) for entry in found.entries]
+        values = [max(score[hz].mean_percent, LEAST) for score in scores]
         face = "white" if hollow else colour
         (drawn[f"{told}, {hz:g} Hz"],) = axes.plot(
             values, range(len(values)), marker, color=colour, markerfacecolor=face, markersize=6.0, zorder=3
         )
     return drawn
-
-
-def _scores(entry: Compared, at: str) -> Mapping[float, Score]:
-    return entry.held_at if at == "held_at" else entry.fitted_at
 
 
 def _draw_left(axes: Axes, left: Sequence[Left]) -> None:

@@ -134,7 +134,10 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
         for number, axes in enumerate(traces):
             part, axis = divmod(number, len(axes_names))
             inside = [run for run in largest if run.label in parts[part]]
-            lines |= _draw_trace(axes, inside, axis, pens, axes_names, most)
+            lines |= _draw_over_time(axes, inside, [run.output_um[axis] for run in inside], pens, most)
+            if (target_um := inside[0].target_um) is not None:
+                _draw_over_time(axes, inside[:1], [target_um[axis]], {inside[0].label: TARGET}, most)
+            axes.set_ylabel(in_lines(f"{symbol(axes_names[axis], 'reading')} [µm]", UPRIGHT_LETTERS))
         for number, axes in enumerate(panels := [*planes, *traces]):
             letter(axes, number, "" if axes in planes and told_apart else group)
             few_ticks(axes)
@@ -166,7 +169,9 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
         for (row, column), axes in np.ndenumerate(panels):
             part, quantity = rows[row]
             inside = [run for run in runs if run.group == groups[column] and run.label in part]
-            lines |= _draw_errors(axes, inside, quantity, pens, most)
+            wires = [run.errors()[quantity] for run in inside]
+            lines |= _draw_over_time(axes, inside, wires, pens, most)
+            few_ticks(axes)
             axes.set_ylabel(in_lines(labels[quantity], UPRIGHT_LETTERS))
             axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
             letter(axes, row * len(groups) + column, groups[column])
@@ -262,20 +267,15 @@ def _points(run: PathRun, most: int) -> int:
     return max(most, math.ceil(POINTS_OF_A_LAP * run.period_s / run.lap_s)) if run.lap_s else most
 
 
-def _draw_trace(
-    axes: Axes, runs: Sequence[PathRun], axis: int, pens: dict[str, Any], names: Sequence[str], most: int
+def _draw_over_time(
+    axes: Axes, runs: Sequence[PathRun], wires: Sequence[Array], pens: dict[str, Any], most: int
 ) -> dict[str, Artist]:
-    """One axis over time, the target last; gives the line of each label."""
-    shown, target_um = runs[0].shown, runs[0].target_um
+    """One signal (sample,) of each run over time; gives the line of each label."""
     lines: dict[str, Artist] = {}
     factor, time_label = time_axis(runs[0].period_s)
-    for run in runs:
-        time, values = thin_trace(run.time_s[shown] * factor, run.output_um[axis, shown], most)
+    for run, wire in zip(runs, wires, strict=True):
+        time, values = thin_trace(run.time_s[run.shown] * factor, wire[run.shown], most)
         (lines[run.label],) = axes.plot(time, values, **pens[run.label])
-    if target_um is not None:
-        time, values = thin_trace(runs[0].time_s[shown] * factor, target_um[axis, shown], most)
-        axes.plot(time, values, **TARGET)
-    axes.set_ylabel(in_lines(f"{symbol(names[axis], 'reading')} [µm]", UPRIGHT_LETTERS))
     axes.set_xlabel(time_label)
     axes.margins(x=0.0)
     return lines
@@ -287,22 +287,6 @@ def _entry(label: str, runs: Sequence[PathRun]) -> str:
     if same[0].target_um is None:
         return plain(label)
     return f"{plain(label)} (worst {significant(max(run.worst_um for run in same))} µm)"
-
-
-def _draw_errors(
-    axes: Axes, runs: Sequence[PathRun], quantity: int, pens: dict[str, Any], most: int
-) -> dict[str, Artist]:
-    """One kind of error over time; gives the line of each label."""
-    lines: dict[str, Artist] = {}
-    factor, time_label = time_axis(runs[0].period_s)
-    for run in runs:
-        error = run.errors()[quantity]
-        time, values = thin_trace(run.time_s[run.shown] * factor, error[run.shown], most)
-        (lines[run.label],) = axes.plot(time, values, **pens[run.label])
-    axes.margins(x=0.0)
-    axes.set_xlabel(time_label)
-    few_ticks(axes)
-    return lines
 
 
 def _scale_distance(axes: Axes, runs: Sequence[PathRun]) -> None:
