@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.compensators.drive_csv import Tell, drive_csv
 from hammerstein.compensators.drive_file import beyond_records
-from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, PathWork
+from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, PathWork, Tell, drive_csv
 from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response

@@ -44,7 +44,7 @@ def folder_name(files: Sequence[Path]) -> str:
     """Name of the folder of several records: no other set of records has it."""
     from hashlib import sha256
 
-    from hammerstein.reporting.figures.measured import file_labels
+    from hammerstein.reporting.figures.loop_data import file_labels
 
     labels = file_labels([str(file) for file in files])
     if len(labels) <= MOST_NAMED:
@@ -71,7 +71,7 @@ def loops(
     from hammerstein.errors import InputError
     from hammerstein.records.loops import loop_table, move_at_once, turned_backwards, without_loops
     from hammerstein.records.swapped_columns import refuse_swapped
-    from hammerstein.reporting.figures.measured import LOOPS, LOOPS_FILES, loops_of_records
+    from hammerstein.reporting.figures.loop_data import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.runtime.storage.manifest import refuse_name
     from hammerstein.runtime.storage.staging import prepare_folder
 

@@ -14,7 +14,6 @@ from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.attempt import drive_within, sensorless_law
-from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import (
     Terms,
     allowed_range,
@@ -22,7 +21,7 @@ from hammerstein.compensators.drive_file import (
     refuse_flagged,
     verdict_statements,
 )
-from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
+from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, drive_csv, read_path
 from hammerstein.dynamics import linearised, on_grid
 from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms

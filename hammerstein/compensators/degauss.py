@@ -8,9 +8,8 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.drive_csv import drive_csv
 from hammerstein.compensators.drive_file import Terms, allowed_range
-from hammerstein.compensators.path_file import DRIVE_COST, PathWork
+from hammerstein.compensators.path_file import DRIVE_COST, PathWork, drive_csv
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import Degauss, smooth_step

@@ -13,10 +13,9 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import SimulationError
-from hammerstein.experiment.recording import recorded, targets_of
+from hammerstein.experiment.recording import advice, recorded, settled, targets_of
 from hammerstein.experiment.report import Target, Trace
 from hammerstein.experiment.set_up import Case, SetUp, Window
-from hammerstein.experiment.settling import advice, settled
 from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
 from hammerstein.model.simulation import Response
 from hammerstein.signals import OneFrequency

@@ -432,7 +432,7 @@ def test_signs_of_poling():
 
 
 def test_a_drive_file_with_columns_of_other_axes_is_never_written():
-    from hammerstein.compensators.drive_csv import drive_csv
+    from hammerstein.compensators.path_file import drive_csv
 
     rows = np.zeros((2, 3))
     with pytest.raises(InputError, match="two columns would have the name drive_u_v"):

@@ -11,7 +11,7 @@ import pytest
 from hammerstein.arrays import PAGE, allocate_wires
 from hammerstein.commands import cli, watch
 from hammerstein.compensators import COMPENSATORS, NoCompensation
-from hammerstein.compensators.drive_csv import drive_csv
+from hammerstein.compensators.path_file import drive_csv
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.plan import Part, Plan, jobs_that_fit, longest_first, plan_of, slowness, together
 from hammerstein.experiment.run import run, simulate
@@ -289,7 +289,7 @@ def test_a_text_of_many_blocks_is_the_text_of_one(monkeypatch):
     time_s, rows = np.arange(25) / 7.0, np.arange(50.0).reshape(2, 25) / 3.0
     groups, told = [("drive", "v", ("x", "y"), rows)], []
     whole = drive_csv(time_s, groups, ["To be sent."])
-    monkeypatch.setattr("hammerstein.compensators.drive_csv.ROWS_AT_ONCE", 10)
+    monkeypatch.setattr("hammerstein.compensators.path_file.ROWS_AT_ONCE", 10)
     assert drive_csv(time_s, groups, ["To be sent."], told.append) == whole
     assert told == [f"writing {n} of 25 rows" for n in (10, 20, 25)]
 

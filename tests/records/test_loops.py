@@ -23,7 +23,7 @@ from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
 from hammerstein.records.swapped_columns import leads
 from hammerstein.records.turning_points import Excursion, find_cycles, turning_points
-from hammerstein.reporting.figures.measured import chosen_loops
+from hammerstein.reporting.figures.loop_data import chosen_loops
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 

@@ -16,9 +16,8 @@ from hammerstein.blocks import Law, Memory, checked_reference
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators.base import Compensator
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, ExactState, Recovery, exact_inverse_of
-from hammerstein.compensators.preview.linear_inverse import linear_inverse
+from hammerstein.compensators.preview.linear_inverse import filtered_by, linear_inverse, low_pass_taps
 from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
-from hammerstein.compensators.preview.reference_filter import filtered_by, low_pass_taps
 from hammerstein.dynamics import LinearBlock, WithLoop
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel

@@ -14,8 +14,12 @@ from hammerstein.arrays import Array, times
 from hammerstein.blocks import Law, Memory, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of
-from hammerstein.compensators.preview.linear_inverse import LinearInverse, block_inverse
-from hammerstein.compensators.preview.reference_filter import filtered_by, low_pass_taps
+from hammerstein.compensators.preview.linear_inverse import (
+    LinearInverse,
+    block_inverse,
+    filtered_by,
+    low_pass_taps,
+)
 from hammerstein.dynamics import FeedbackBlock, LinearBlock, on_grid, split_delay
 from hammerstein.dynamics.feedback_hysteresis import FAR_V
 from hammerstein.errors import InputError, SimulationError
