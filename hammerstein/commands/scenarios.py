@@ -331,7 +331,7 @@ def plot(
 ) -> None:
     """Draw the figures of one scenario."""
     from hammerstein.experiment.run import run as run_scenario
-    from hammerstein.reporting.figures import write_figures
+    from hammerstein.reporting.figures import figures_of, save_figures
     from hammerstein.reporting.figures.write import FIGURES
     from hammerstein.runtime.storage.staging import prepare_folder
 
@@ -340,5 +340,5 @@ def plot(
     prepare_folder("--out", out / name, FIGURES, (), overwrite)
     with Watch(1) as watch:
         report = run_scenario(scenario, name, jobs, watch.progress)
-    for figure in write_figures(report, out / name, overwrite):
+    for figure in save_figures(figures_of(report), out / name, overwrite=overwrite):
         tell(str(figure))

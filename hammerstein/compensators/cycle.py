@@ -339,21 +339,19 @@ def held_least(cycle: Cycle, points: int) -> Array:
     table = cycle.drive_v.reshape(len(cycle.drive_v), points, hold).mean(axis=2)
     response = _periodic_response(cycle, hold)
     best: Array = table
-    error = _error_of(cycle, table, hold)
+    error = held_error(cycle, table, hold)
+    low, high = cycle.limits.low_v[:, None], cycle.limits.high_v[:, None]
     for share in (1.0, 1.0, 0.5, 0.5, 0.25):
-        trial = _limited(cycle, best - share * _least_change(error, response, points))
-        found = _error_of(cycle, trial, hold)
+        trial = np.clip(best - share * _least_change(error, response, points), low, high)
+        found = held_error(cycle, trial, hold)
         if rms(found) < rms(error):
             best, error = trial, found
     return best
 
 
-def _error_of(cycle: Cycle, table: Array, hold: int) -> Array:
+def held_error(cycle: Cycle, table: Array, hold: int) -> Array:
+    """Error (p, N) of a period [um] whose voltages (m, n) are each held over so many samples."""
     return np.asarray(cycle.play(np.repeat(table, hold, axis=1))[0] - cycle.reference_um)
-
-
-def _limited(cycle: Cycle, table: Array) -> Array:
-    return np.asarray(np.clip(table, cycle.limits.low_v[:, None], cycle.limits.high_v[:, None]))
 
 
 def _periodic_response(cycle: Cycle, hold: int) -> Complex:

@@ -13,13 +13,13 @@ No device was at hand: what one does with a table was not tried.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.axis_names import column
-from hammerstein.compensators.cycle import Cycle, held_least
+from hammerstein.compensators.cycle import Cycle, held_error, held_least
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.metrics import rms
@@ -143,12 +143,8 @@ def wave_table(
     table = WaveTable(cycle, device, hold, volts, scale or (1.0, 0.0), (0.0, 0.0, 0.0))
     factor, offset = table.scale
     written = (table.numbers() - offset) / factor
-    errors = rms(cycle.error_um), _played_rms(cycle, volts, hold), _played_rms(cycle, written, hold)
-    return WaveTable(cycle, device, hold, volts, table.scale, errors)
-
-
-def _played_rms(cycle: Cycle, volts: Array, hold: int) -> float:
-    return rms(cycle.play(np.repeat(volts, hold, axis=1))[0] - cycle.reference_um)
+    held, as_written = (rms(held_error(cycle, points_v, hold)) for points_v in (volts, written))
+    return replace(table, errors_um=(rms(cycle.error_um), held, as_written))
 
 
 def _hold(cycle: Cycle, kind: Device, points: int | None) -> int:

@@ -94,12 +94,8 @@ def c_block_of(hysteresis: object, state: object) -> CPart:
     ------
     InputError : there are no templates for this kind
     """
-    raise _no_code(hysteresis)
-
-
-def _no_code(hysteresis: object) -> InputError:
     kind = getattr(hysteresis, "kind", type(hysteresis).__name__)
-    return InputError("export", f"hysteresis of kind {kind} has no C code")
+    raise InputError("export", f"hysteresis of kind {kind} has no C code")
 
 
 @c_block_of.register

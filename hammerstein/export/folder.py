@@ -153,6 +153,7 @@ def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str
         "file_name": code.name,
     }
     header, source = code.header(), code.source(found)
+    export = ExportFile(request=request, measured=found).model_dump(mode="json", exclude_none=True)
     unit: dict[str, str] = {}
     if request.form == "fmu":
         context |= fmu_context(header + source, request.sample_time_s, code.shape.entering, _columns(code))
@@ -165,7 +166,7 @@ def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str
         "Makefile": rendered("Makefile.jinja", **context),
         "README.md": rendered("README.md.jinja", **context),
         MODEL_FILE: model.to_json(),
-        REQUEST_FILE: _json(ExportFile(request=request, measured=found)),
+        REQUEST_FILE: json.dumps(export, indent=1, sort_keys=True) + "\n",
     }
 
 
@@ -259,8 +260,3 @@ def _golden(code: CCode, signal: Array, output: Array) -> str:
     head = ",".join(_columns(code))
     rows = (",".join(map(repr, row)) for row in np.vstack([signal, output]).T.tolist())
     return "\n".join([head, *rows]) + "\n"
-
-
-def _json(export: ExportFile) -> str:
-    content: Any = export.model_dump(mode="json", exclude_none=True)
-    return json.dumps(content, indent=1, sort_keys=True) + "\n"

@@ -60,7 +60,9 @@ class Code:
 
     def cost(self) -> Cost:
         """Bytes and operations; InternalError for code that has no bound."""
-        return Cost(self._size(self.name)[0], self._constant_bytes(), self._function(f"{self.name}_step", ()))
+        tables = [d for d in self._tree.ext if type(d).__name__ == "Decl" and "const" in d.quals]
+        constant_bytes = sum(self._size_of(table.type)[0] for table in tables)
+        return Cost(self._size(self.name)[0], constant_bytes, self._function(f"{self.name}_step", ()))
 
     def counting(self) -> str:
         """Return the same code as one file, in which every statement adds its operations to a counter."""
@@ -154,10 +156,6 @@ class Code:
             at = -(-at // aligned) * aligned + size
             widest = max(widest, aligned)
         return -(-at // widest) * widest, widest
-
-    def _constant_bytes(self) -> int:
-        tables = [d for d in self._tree.ext if type(d).__name__ == "Decl" and "const" in d.quals]
-        return sum(self._size_of(table.type)[0] for table in tables)
 
 
 def _plain(text: str) -> str:

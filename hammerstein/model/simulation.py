@@ -40,11 +40,6 @@ BLOCK = 16_384
 """Samples that go through the whole chain before the next ones do: they stay in the processor's cache."""
 
 
-def limits_of(name: str) -> Range:
-    """What a wire of this name may hold, by its unit."""
-    return {"um": POSITION_UM, "v": VOLTAGE_V}[name.rpartition("_")[2]]
-
-
 def within(limits: Range, wires: Sequence[Array], first: int, stop: int) -> bool:
     """Whether wires (axis, sample) stay within bounds from one sample to another."""
     from hammerstein.blocks.instrument_kernels import outside
@@ -54,13 +49,13 @@ def within(limits: Range, wires: Sequence[Array], first: int, stop: int) -> bool
 
 def refuse_unbounded(name: str, wire: Array, sample_time_s: float) -> None:
     """Raise SimulationError, with axis and time, for a wire (axis, sample) that diverges or is not finite."""
-    limits = limits_of(name)
+    quantity, _, unit = name.rpartition("_")
+    limits = {"um": POSITION_UM, "v": VOLTAGE_V}[unit]
     if wire.size == 0 or (limits.low <= wire.min() and wire.max() <= limits.high):  # never true for NaN
         return
     bad = ~((wire >= limits.low) & (wire <= limits.high))
     sample = int(np.argmax(bad.any(axis=0)))
     axis = int(np.argmax(bad[:, sample]))
-    quantity, _, unit = name.rpartition("_")
     raise SimulationError(
         f"{quantity.replace('_', ' ')} of axis {axis + 1} reaches {wire[axis, sample]:.3g} "
         f"{('V' if unit == 'v' else unit)} after {sample * sample_time_s:.4g} s: a block in the chain "

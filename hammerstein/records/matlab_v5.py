@@ -106,8 +106,11 @@ class Reader:
             raise ValueError(f"an array of {count} numbers is stored with {len(values)}")
         return values
 
-    def variable(self, data: memoryview, depth: int = 0) -> tuple[str, Any]:
-        """Name and content of a matrix element."""
+    def variable(self, element: Element, depth: int = 0) -> tuple[str, Any]:
+        """Name and content of a matrix element; ValueError for another one."""
+        if element.kind != MATRIX:
+            raise ValueError(f"an element of type {element.kind} is in place of a variable")
+        data = element.data
         if depth > DEEPEST:
             raise ValueError(f"structures are nested more than {DEEPEST} deep")
         if not len(data):
@@ -132,7 +135,7 @@ class Reader:
         if class_ == CELL:
             cells = np.empty(count, dtype=object)
             for i in range(count):
-                cells[i] = self._inner(_next(parts), depth)
+                cells[i] = self.variable(_next(parts), depth + 1)[1]
             return name, cells.reshape(shape, order="F")
         if class_ == STRUCTURE:
             return name, self._structure(parts, shape, depth)
@@ -155,13 +158,8 @@ class Reader:
         found = np.empty(math.prod(shape), dtype=[(name, object) for name in names])
         for i in range(len(found)):
             for name in names:
-                found[name][i] = self._inner(_next(parts), depth)
+                found[name][i] = self.variable(_next(parts), depth + 1)[1]
         return found.reshape(shape, order="F")
-
-    def _inner(self, element: Element, depth: int) -> Any:
-        if element.kind != MATRIX:
-            raise ValueError(f"an element of type {element.kind} is in place of a variable")
-        return self.variable(element.data, depth + 1)[1]
 
 
 def is_matlab_v5(path: Path) -> bool:
@@ -196,9 +194,7 @@ def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
     for element in reader.elements(data[HEADER_BYTES:]):
         if element.kind == COMPRESSED:
             element, _ = reader.element(reader.inflated(element.data), 0)
-        if element.kind != MATRIX:
-            raise ValueError(f"an element of type {element.kind} is in place of a variable")
-        name, value = reader.variable(element.data)
+        name, value = reader.variable(element)
         if value is not UNREAD and name:
             found[name] = value
     return found

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
@@ -148,14 +149,9 @@ class Record(NotebookRepr):
 
     def _mistakes(self) -> list[Mistake]:
         u, y, rows = self.u_v, self.y_um, self.rows
-        mistakes: list[Mistake] = []
-        mistakes += still_mistakes(self.inputs, u, rows, "input")
-        mistakes += still_mistakes(self.outputs, y, rows, "output")
-        if mistakes:
-            return mistakes
-        mistakes += _unit_mistakes(self.inputs, u, "input")
-        mistakes += _unit_mistakes(self.outputs, y, "output")
-        return [*mistakes, *clipping_mistakes(self.outputs, u, y, rows)]
+        still = still_mistakes(self.inputs, u, rows, "input"), still_mistakes(self.outputs, y, rows, "output")
+        units = _unit_mistakes(self.inputs, u, "input"), _unit_mistakes(self.outputs, y, "output")
+        return [*chain(*still)] or [*chain(*units), *clipping_mistakes(self.outputs, u, y, rows)]
 
     @property
     def samples(self) -> int:
@@ -169,19 +165,8 @@ class Record(NotebookRepr):
 
     def part(self, start: int, stop: int) -> Record:
         """Samples start to stop - 1 as a record of their own; they keep their row numbers."""
-        return Record(
-            self.u_v[:, start:stop],
-            self.y_um[:, start:stop],
-            self.sample_time_s,
-            self.inputs,
-            self.outputs,
-            self.source,
-            self.rows[start:stop],
-            self.period_samples,
-            self.rest_v,
-            self.outliers,
-            verified=True,
-        )
+        u, y, rows = self.u_v[:, start:stop], self.y_um[:, start:stop], self.rows[start:stop]
+        return replace(self, u_v=u, y_um=y, rows=rows, verified=True)
 
 
 def _unit_mistakes(names: Sequence[str], values: Array, kind: str) -> list[Mistake]:

@@ -112,11 +112,9 @@ def _compare(report: Report, baseline: Path) -> dict[str, Any]:
     if not baseline.is_file():
         return {"findings": (Finding(Kind.NO_BASELINE),)}
     accepted, tolerances = _load(baseline), report.scenario.tolerances
-    findings = compare(report, accepted, tolerances)
-    added = new_columns(report, accepted)
     return {
-        "findings": findings,
-        "new_columns": added,
+        "findings": compare(report, accepted, tolerances),
+        "new_columns": new_columns(report, accepted),
         "accepted": accepted.rows,
         "tolerances": tolerances,
     }

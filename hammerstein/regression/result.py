@@ -150,7 +150,8 @@ class CheckResult:
             shown = [figures[check.name]] if figures.get(check.name) else []
             if not check.passed:
                 body = check.lines(self.baseline_folder)
-                fence = Markdown("`" * max(3, 1 + _longest_run_of_ticks(body)))
+                ticks = (len(run) for line in body for run in re.findall("`+", line))
+                fence = Markdown("`" * (1 + max([2, *ticks])))
                 text = [Markdown(clean(line)) for line in body]
                 shown.insert(0, Markdown("\n").join([fence + Markdown("text"), *text, fence]))
             if shown:
@@ -278,7 +279,3 @@ def _as_dict(check: ScenarioCheck) -> dict[str, Any]:
 def _json(value: float | str | None) -> float | str | None:
     """Value that JSON can hold: NaN and infinity as words."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _longest_run_of_ticks(lines: Iterable[str]) -> int:
-    return max((len(run) for line in lines for run in re.findall("`+", line)), default=0)

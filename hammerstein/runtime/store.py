@@ -162,23 +162,17 @@ def opened(fresh: bool = False) -> tuple[Store | None, str]:
     if limit_bytes == 0.0:
         return None, ""
     if folder is None:
-        switched_off = os.environ.get("HAMMERSTEIN_CACHE") == ""
-        why = (
-            ""
-            if switched_off
-            else ("there is no home folder, so results are not cached; set HAMMERSTEIN_CACHE to a folder")
-        )
-        return None, why
+        if os.environ.get("HAMMERSTEIN_CACHE") == "":  # switched off
+            return None, ""
+        return None, "there is no home folder, so results are not cached; set HAMMERSTEIN_CACHE to a folder"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = os.lstat(folder)
     except OSError as error:
         return None, _useless(folder, error)
     if not stat.S_ISDIR(status.st_mode) or not _is_private(status):
-        return (
-            None,
-            f"{folder}: results are not cached, because others may write there; make it yours (chmod 700)",
-        )
+        why = "results are not cached, because others may write there; make it yours (chmod 700)"
+        return None, f"{folder}: {why}"
     return Store(folder.absolute(), fresh, limit_bytes), ""
 
 

@@ -348,7 +348,7 @@ def _validated(data: Mapping[str, Any], source: str, folder: Path | None = None)
         # As JSON, so that a number in quotes is refused while a list still makes a tuple.
         scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        found = _split(mistakes_of(error, Scenario))
+        found = [Mistake(m.where, line) for m in mistakes_of(error, Scenario) for line in m.what.split("\n")]
         told = {mistake.where for mistake in found}
         raise InputError(source, [*found, *(m for m in unknown if m.where not in told)]) from None
     if unknown:
@@ -409,10 +409,6 @@ def _named_models(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             for i, entry in enumerate(value, start=1):
                 if isinstance(entry, Mapping):
                     yield from ((f"{key}[{i}].{where}", name) for where, name in _named_models(entry))
-
-
-def _split(mistakes: list[Mistake]) -> list[Mistake]:
-    return [Mistake(m.where, line) for m in mistakes for line in m.what.split("\n")]
 
 
 def _relative_to(scenario: Scenario, folder: Path) -> Scenario:

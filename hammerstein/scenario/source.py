@@ -33,24 +33,29 @@ DeadZoneCount = Annotated[int, Range(0, MOST_DEAD_ZONES)]
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)]
 
 
+OwnAmplitude = Annotated[
+    Size | None,
+    Field(description="amplitude about the middle of the actuator's range; the whole range if omitted"),
+]
+OwnSampleTime = Annotated[
+    SampleTime | None,
+    Field(description="sample time of this experiment, if it differs from that of the run"),
+]
+
+
 class ClosedFormSpec(Strict):
     """Identify the static block by the paper's closed form, one input driven at a time (section 3.3)."""
 
     method: Literal["closed_form"] = "closed_form"
     frequency_hz: Frequency = Field(default=50.0, description="frequency of the recorded sine")
-    amplitude_v: Size | None = Field(
-        default=None,
-        description="amplitude about the middle of the actuator's range; the whole range if omitted",
-    )
+    amplitude_v: OwnAmplitude = None
     waveform: Literal["sine", "triangle"] | None = Field(
         default=None, description="drive of the input; a sine if omitted"
     )
     operators: Operators = Field(default=15, description="plays of each pair of axes")
     settle_cycles: Cycles = Field(default=5, description="cycles before the record")
     measured_cycles: Cycles = Field(default=10, description="recorded cycles, whose mean is used")
-    sample_time_s: SampleTime | None = Field(
-        default=None, description="sample time of this experiment, if it differs from that of the run"
-    )
+    sample_time_s: OwnSampleTime = None
 
     @property
     def highest_frequency_hz(self) -> float:
@@ -67,10 +72,7 @@ class JointFitSpec(Strict):
     """
 
     method: Literal["hammerstein"]
-    amplitude_v: Size | None = Field(
-        default=None,
-        description="amplitude about the middle of the actuator's range; the whole range if omitted",
-    )
+    amplitude_v: OwnAmplitude = None
     operators: Operators | Literal["auto"] = Field(
         default=15, description="plays of each pair of axes, or auto: by cross-validation"
     )
@@ -79,9 +81,7 @@ class JointFitSpec(Strict):
     )
     frequencies_hz: Frequencies = Field(default=(50.0,), description="frequencies of the recorded sines")
     record_s: Length = Field(default=0.1, description="duration of each sine and of the multisine")
-    sample_time_s: SampleTime | None = Field(
-        default=None, description="sample time of this experiment, if it differs from that of the run"
-    )
+    sample_time_s: OwnSampleTime = None
     hysteresis: Annotated[str, AfterValidator(known_kind)] | None = Field(
         default=None,
         description="kind of hysteresis: asymmetric adds dead-zones, in rate_dependent thresholds "

@@ -44,7 +44,7 @@ class Schema:
         names: tuple[str, ...] = _keys(nodes)
         for i, part in enumerate(location):
             inside = list(self._inside(nodes, part))
-            chosen = [] if told else _with_tag(nodes, str(part))
+            chosen = [] if told else [node for node in nodes if _tag(node) == str(part)]
             told = False
             if isinstance(part, int):
                 path, nodes = f"{path}[{part + 1}]", inside
@@ -110,10 +110,6 @@ def _tag(node: Node) -> str:
     """Value of the key that tells one kind of a table from the others."""
     constants = [value["const"] for value in node.get("properties", {}).values() if "const" in value]
     return str(constants[0]) if constants else ""
-
-
-def _with_tag(nodes: Sequence[Node], tag: str) -> list[Node]:
-    return [node for node in nodes if _tag(node) == tag]
 
 
 def _types(nodes: Sequence[Node]) -> set[str]:

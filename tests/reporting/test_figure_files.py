@@ -17,7 +17,7 @@ from PIL import Image
 
 from hammerstein.errors import InputError
 from hammerstein.experiment.report import Report
-from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures, write_figures
+from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure, save_figures
 from hammerstein.reporting.figures.style import (
     COLOURS,
     MOST_POINTS,
@@ -35,9 +35,9 @@ LARGEST_KEPT_BYTES = 50_000
 
 def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: Path) -> None:
     report = report_of(reference=CIRCLE, compensators=[NONE])
-    first = write_figures(report, tmp_path / "a")
+    first = save_figures(figures_of(report), tmp_path / "a")
     with mpl.rc_context({"font.size": 31.0, "svg.hashsalt": None, "axes.facecolor": "red"}):
-        second = write_figures(report, tmp_path / "b")
+        second = save_figures(figures_of(report), tmp_path / "b")
         assert mpl.rcParams["font.size"] == 31.0
     assert [path.name for path in first] == ["path.svg", "path.png", "errors.svg", "errors.png"]
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]

@@ -23,7 +23,7 @@ from hammerstein.reporting.figures.style import (
     plain_numbers,
     styled,
 )
-from hammerstein.reporting.figures.sweep import LOGARITHMIC_FROM
+from hammerstein.reporting.figures.sweep import log_where_wide
 from hammerstein.scenario.scenario import Tolerance
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
             entries[plain(course.label)] = _draw(left, right, course, number, LEAST_SHARE if far else 0.0)
         (entries["baseline with tolerance"],) = left.plot([], [], color=PALE, linewidth=4.0, alpha=0.6)
         right.axhspan(0.0, 1.0, color=PALE, alpha=0.3, linewidth=0.0)
-        _scale(left, shown)
+        log_where_wide(left, np.concatenate([side for c in shown for side in (c.accepted, c.now)]))
         if far:
             right.set_yscale("log")
             right.set_ylim(bottom=LEAST_SHARE)
@@ -184,10 +184,3 @@ def _quantity(metric: str) -> str:
     """
     name, _, unit = metric.rpartition("_")
     return plain(f"{name.replace('_', ' ')} [{UNITS[unit]}]" if unit in UNITS else metric.replace("_", " "))
-
-
-def _scale(axes: Axes, courses: Sequence[SweptNumber]) -> None:
-    values = np.concatenate([np.concatenate([course.accepted, course.now]) for course in courses])
-    if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
-        axes.set_yscale("log")
-        plain_numbers(axes.yaxis)

@@ -209,9 +209,14 @@ def _scale(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
             plain_numbers(axes.xaxis)
         elif (x == np.round(x)).all():
             axes.xaxis.get_major_locator().set_params(integer=True)
-        if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
-            axes.set_yscale("log")
-            plain_numbers(axes.yaxis)
+        log_where_wide(axes, values)
+
+
+def log_where_wide(axes: Axes, values: Array) -> None:
+    """Let the vertical axis be logarithmic where values span more than about a decade."""
+    if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
+        axes.set_yscale("log")
+        plain_numbers(axes.yaxis)
 
 
 def _fit_to_all(panels: np.ndarray) -> None:

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
-from hammerstein.experiment.report import Report
-from hammerstein.reporting.figures.choice import figures_of
 from hammerstein.reporting.figures.style import COLOURS, DARK, PALE, PNG_COLOURS, PNG_DPI, styled
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.runtime.storage.staging import staged
@@ -31,22 +29,6 @@ _LENGTHS = frozenset({"x", "y", "width", "height"})
 
 ElementTree.register_namespace("", SVG[1:-1])
 ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
-
-
-def write_figures(report: Report, folder: Path, overwrite: bool = False) -> list[Path]:
-    """Draw the figures of a report and write each as SVG and PNG; equal reports give equal bytes.
-
-    Parameters
-    ----------
-    report : result of ``hammerstein.experiment.run.run``, with its traces
-    folder : where to; made if it does not exist
-    overwrite : whether to replace files that other programs wrote or a person changed
-
-    Raises
-    ------
-    InputError : the folder cannot be written, or holds other people's files under these names
-    """
-    return save_figures(figures_of(report), folder, overwrite=overwrite)
 
 
 def save_figures(
