@@ -118,14 +118,11 @@ class DecoupledInverseLaw(Law[InverseState]):
         direct = _alone([hysteresis.pairs[k][k] for k in range(self.n_inputs)])
         passed = direct.respond(history)[0]
         if history.shape[1] == 1:
-            return InverseState(
-                self.inverse.rest(), np.zeros(self.n_inputs), np.zeros(self.n_inputs)
-            ), passed[:, -1]
+            return InverseState(self.inverse.rest(), *np.zeros((2, self.n_inputs))), passed[:, -1]
         v, plays = self.inverse.respond(passed)
         jump = np.where(self.jump_v > 0.0, self.jump_v, np.inf)
-        return InverseState(plays, v[:, -1], np.clip((history[:, -1] - v[:, -1]) / jump, -1.0, 1.0)), passed[
-            :, -1
-        ]
+        direction = np.clip((history[:, -1] - v[:, -1]) / jump, -1.0, 1.0)
+        return InverseState(plays, v[:, -1], direction), passed[:, -1]
 
     def rest(self) -> InverseState:
         """Inverse of an actuator at its start."""

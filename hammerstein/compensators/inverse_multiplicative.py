@@ -205,7 +205,8 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         from hammerstein.compensators.kernels import respond_inverse_multiplicative
         from hammerstein.compiled import spans
 
-        plays, memory = _copy_of(start.plays), start.memory_v.copy()
+        plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
+        assert isinstance(plays, PlayState)
         drive, b = np.empty_like(wanted_um), hysteresis.bank
         options = (self._axes, self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
         stack = (plays.count, plays.end, plays.x, plays.d, plays.below)
@@ -213,12 +214,6 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         for first, stop in spans(wanted_um.shape[1], 64 * self.iterations):
             respond_inverse_multiplicative(wanted_um, *options, *bank, *stack, memory, first, stop, drive)
         return drive, FeedbackState(plays, memory)
-
-
-def _copy_of(plays: Memory) -> PlayState:
-    """Copy of the memory of play operators, which the compiled loop writes to."""
-    assert isinstance(plays, PlayState)
-    return plays.copy()
 
 
 def convergence(slopes: Array, gain_v_per_um: Array, pole: float = 0.0) -> Convergence:

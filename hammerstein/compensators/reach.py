@@ -82,22 +82,23 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
     (array([[-58.,  58.]]), array([[  2., 118.]]))
     """
     limits = DriveRange.of(range_v, model)
-    if isinstance(model.dynamics, WithLoop):
-        return _reach_of_loop(model, limits)
-    model = model.on_grid(SLOW_S)  # how far it gets when nothing hurries
-    p = model.hysteresis.n_outputs
+    p = len(model.outputs)
     if not np.isfinite(limits.span_v).all():
         nowhere = np.tile([-np.inf, np.inf], (p, 1))
         return Reach(nowhere, nowhere)
+    if isinstance(model.dynamics, WithLoop):
+        return _reach_of_loop(model, limits)
+    model = model.on_grid(SLOW_S)  # how far it gets when nothing hurries
     middle = 0.5 * (limits.low_v + limits.high_v)
     about = replace(limits, working_point_v=middle, start_v=middle, conditioned=False)
     counted = model.hysteresis.counted_from(middle)
     if has_exact_inverse(counted):
         law: Law[Any] = exact_inverse_of(counted, model, about, 0.0, run_anyway)
         bisections = BISECTIONS
-    else:
+    else:  # the law of the paper, with so many passes that it is as good as an inverse
         about = replace(limits, start_v=middle, conditioned=False)
-        law, bisections = _iterated(model, about, run_anyway), ROUGH_BISECTIONS
+        law = InverseMultiplicativeLaw(model, about, SLOW_S, iterations=PASSES, run_anyway=run_anyway)
+        bisections = ROUGH_BISECTIONS
     between = _centre(model, about)[:, None]
     half = 0.5 * limits.span_v
     most = float(np.abs(counted.amplitude(half)).sum()) * len(half)
@@ -112,9 +113,6 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
 def _reach_of_loop(model: HammersteinModel, limits: DriveRange) -> Reach:
     """Reach by the gains of slow loops over the whole range, in which the hysteresis in the loop works."""
     half = 0.5 * limits.span_v
-    if not np.isfinite(half).all():
-        nowhere = np.tile([-np.inf, np.inf], (len(model.outputs), 1))
-        return Reach(nowhere, nowhere)
     gain = model.amplitude(half) / half
     needed = np.abs(np.linalg.pinv(gain)) / half[:, None]
     alone = 1.0 / needed.max(axis=0)
@@ -142,11 +140,6 @@ def _inside(law: Law[Any], path_um: Array) -> bool:
         if not ((drive < limits.high_v[:, None]) & (drive > limits.low_v[:, None])).all():
             return False
     return True
-
-
-def _iterated(model: HammersteinModel, limits: DriveRange, run_anyway: bool) -> Law[Any]:
-    """The law of the paper on the grid of the model, with so many passes that it is as good as an inverse."""
-    return InverseMultiplicativeLaw(model, limits, SLOW_S, iterations=PASSES, run_anyway=run_anyway)
 
 
 def _largest(bisections: int, fits: Callable[[float], bool]) -> float:
