@@ -70,9 +70,12 @@ from .model import HammersteinModel as HammersteinModel
 from .model.simulation import Plant as Plant, Response as Response
 from .plugins import register as register
 from .records.loops import Loop as Loop, loop_table as loop_table
-from .records.reading import read_paired_records as read_paired_records, read_records as read_records
+from .records.reading import (
+    read_paired_records as read_paired_records,
+    read_records as read_records,
+    records_of_time_response as records_of_time_response,
+)
 from .records.record import Record as Record
-from .records.time_responses import records_of_time_response as records_of_time_response
 from .regression.check import check as check
 from .scenario import Scenario as Scenario, load_scenario as load_scenario
 from .scenario.assessment import Assessment as Assessment, Judgement as Judgement

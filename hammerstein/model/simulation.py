@@ -163,7 +163,7 @@ class Response(NotebookRepr):
 
         Raises InputError for a reference that this run does not have.
         """
-        from hammerstein.blocks.interop.time_response import time_response
+        from hammerstein.blocks.interop.block_system import time_response
 
         given: tuple[Wire, ...] = ("drive_v",) if self.reference_um is None else ("reference_um",)
         return time_response(self.time_s, self._signals(outputs), self._signals(inputs or given))

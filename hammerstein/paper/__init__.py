@@ -4,7 +4,4 @@ A kind of assessment like those of others: nothing in the package imports this r
 ``paper`` of the group ``hammerstein.blocks`` names.
 """
 
-from hammerstein.paper import epsilon
-from hammerstein.paper.assessment import Paper
-
-__all__ = ["Paper", "epsilon"]
+from hammerstein.paper.assessment import Paper as Paper

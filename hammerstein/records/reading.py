@@ -1,10 +1,11 @@
-"""Measured records from files."""
+"""Measured records from files, and from time responses of python-control."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,10 @@ from hammerstein.records.readers import Columns, Header, named_time, read_array,
 from hammerstein.records.record import Record
 from hammerstein.signals.text_tables import where
 from hammerstein.signals.units import BASE, Kind, axis_name, unit_in
+
+if TYPE_CHECKING:
+    import control
+
 
 PathLike = str | Path
 
@@ -336,3 +341,42 @@ def _by_experiment(array: Array, axes: Sequence[str], source: str) -> Array:
 def _sizes(array: Array) -> str:
     experiments, _, periods, samples = array.shape
     return f"{experiments} experiments, {periods} periods, {samples} samples"
+
+
+def records_of_time_response(
+    data: control.TimeResponseData,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> tuple[Record, ...]:
+    """Records of a ``control.TimeResponseData``, one for each trace, checked like those from files.
+
+    Parameters
+    ----------
+    data : voltages [V] and displacements [um] over a uniform time [s]
+    inputs, outputs : labels of voltages and displacements; default: all signals
+
+    Raises
+    ------
+    InputError : no inputs, an unknown label, a time that is not uniform, and what ``Record`` raises
+
+    Examples
+    --------
+    >>> import control
+    >>> time_s = 1e-3 * np.arange(300)
+    >>> data = control.forced_response(control.tf([5.0], [0.01, 1.0]), time_s, np.sin(40.0 * time_s))
+    >>> records_of_time_response(data)
+    (Record('time response': 300 samples of 0.001 s; u[0] -1 to 0.9999 V; y[0] -4.641 to 4.654 um),)
+    """
+    from hammerstein.blocks.interop.block_system import traces_of
+
+    fed = tuple(inputs if inputs is not None else data.input_labels or ())
+    read = tuple(outputs if outputs is not None else data.output_labels or ())
+    traces = list(traces_of(data, fed, read))
+    records = []
+    for number, trace in enumerate(traces, start=1):
+        source = "time response" if len(traces) == 1 else f"time response, trace {number}"
+        mistakes = time_mistakes("time", trace.time_s, np.arange(1, len(trace.time_s) + 1))
+        if mistakes:
+            raise InputError(source, mistakes)
+        records.append(Record(trace.inputs, trace.outputs, sample_time(trace.time_s), fed, read, source))
+    return tuple(records)

@@ -10,8 +10,7 @@ from hammerstein.errors import HammersteinError, InputError, Mistake
 from hammerstein.experiment.batch import Outcome, find_scenarios, load_all, run_all
 from hammerstein.experiment.report import Report
 from hammerstein.experiment.set_up import Progress
-from hammerstein.regression.baseline import Baseline, numbers_of
-from hammerstein.regression.compare import Finding, Kind, compare, new_columns
+from hammerstein.regression.compare import Baseline, Finding, Kind, compare, new_columns, numbers_of
 from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck
 from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.scenario import scenario_of

@@ -15,8 +15,7 @@ from xml.etree import ElementTree
 from hammerstein.errors import HammersteinError, ToleranceError
 from hammerstein.escaping import Markdown, clean
 from hammerstein.metrics import KEY
-from hammerstein.regression.baseline import Numbers
-from hammerstein.regression.compare import Finding, Kind, deviation, limit
+from hammerstein.regression.compare import Finding, Kind, Numbers, deviation, limit
 from hammerstein.runtime.storage.manifest import Owner
 from hammerstein.scenario.scenario import Tolerance
 

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from hammerstein.commands.cli import app, main
 from hammerstein.model import HammersteinModel
 from hammerstein.records.array_files import array_columns
-from hammerstein.regression.baseline import Baseline
+from hammerstein.regression.compare import Baseline
 from hammerstein.runtime.storage.manifest import Manifest
 
 KEPT_MB = "100"

@@ -6,7 +6,7 @@ import pytest
 import hammerstein
 from hammerstein import metrics
 from hammerstein.metrics.metric import PathErrors
-from hammerstein.paper.epsilon import epsilon
+from hammerstein.paper.assessment import epsilon
 from hammerstein.reporting.run_page import run_page
 
 f, T = 50.0, 50e-6

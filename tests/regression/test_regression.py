@@ -17,9 +17,17 @@ from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.run import run
 from hammerstein.metrics import METRICS, Row
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
-from hammerstein.regression.baseline import Baseline, key_of, numbers_of
 from hammerstein.regression.check import check_files
-from hammerstein.regression.compare import Finding, Kind, compare, limit, tolerance_of
+from hammerstein.regression.compare import (
+    Baseline,
+    Finding,
+    Kind,
+    compare,
+    key_of,
+    limit,
+    numbers_of,
+    tolerance_of,
+)
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.scenario import Tolerance

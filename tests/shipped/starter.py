@@ -13,7 +13,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.records.reading import read_records
-from hammerstein.regression.baseline import Baseline
+from hammerstein.regression.compare import Baseline
 from hammerstein.reporting.fit_page import write_fit
 from hammerstein.reporting.folder import write_report
 from hammerstein.signals import Multisine, Sine

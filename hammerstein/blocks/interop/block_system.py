@@ -1,11 +1,11 @@
-"""Any block that moves sample by sample, as a python-control system."""
+"""As python-control has them: any block that moves sample by sample, and signals over time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import control
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.interop.packing import Packing
+from hammerstein.errors import InputError
 
 S = TypeVar("S")
 
@@ -96,3 +97,55 @@ def signals(wire: str, count: int) -> list[str]:
     ['requested_v[0]', 'requested_v[1]']
     """
     return [f"{wire}[{i}]" for i in range(count)]
+
+
+class TimeTrace(NamedTuple):
+    """One trace: time (sample,) [s], inputs (input, sample) and outputs (output, sample)."""
+
+    time_s: Array
+    inputs: Array
+    outputs: Array
+
+
+def time_response(
+    time_s: Array, outputs: Mapping[str, Array], inputs: Mapping[str, Array], title: str = "Response"
+) -> control.TimeResponseData:
+    """Signals (sample,) by name as one trace."""
+    return control.TimeResponseData(
+        time_s,
+        np.array(list(outputs.values())),
+        inputs=np.array(list(inputs.values())),
+        output_labels=list(outputs),
+        input_labels=list(inputs),
+        issiso=False,
+        title=title,
+        sysname="actuator",
+    )
+
+
+def traces_of(
+    data: control.TimeResponseData, inputs: Sequence[str], outputs: Sequence[str]
+) -> Iterator[TimeTrace]:
+    """Every trace of a time response, of the signals with these labels.
+
+    Raises InputError where there are no inputs, or no such signal.
+    """
+    if data.u is None:
+        raise InputError("time response", "holds no inputs; a record needs the input signal")
+    rows_in = _rows(data.input_labels, inputs, "input")
+    rows_out = _rows(data.output_labels, outputs, "output")
+    for u, y in zip(_by_trace(data.u), _by_trace(data.y), strict=True):
+        yield TimeTrace(np.asarray(data.t, dtype=np.float64), u[rows_in], y[rows_out])
+
+
+def _by_trace(values: Array) -> list[Array]:
+    """Signals (axis, sample) of each trace, from (axis, sample) or (axis, trace, sample)."""
+    return [values] if values.ndim == 2 else list(np.swapaxes(values, 0, 1))
+
+
+def _rows(labels: Sequence[str], wanted: Sequence[str], kind: str) -> list[int]:
+    missing = [name for name in wanted if name not in labels]
+    if missing:
+        known = ", ".join(labels)
+        raise InputError("time response", f"has no {kind} {', '.join(missing)}; it has {known}")
+    return [list(labels).index(name) for name in wanted]

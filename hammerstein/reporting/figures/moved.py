@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.regression.baseline import Key, Numbers
-from hammerstein.regression.compare import all_tolerances, deviation, limit, tolerance_of
+from hammerstein.regression.compare import Key, Numbers, all_tolerances, deviation, limit, tolerance_of
 from hammerstein.reporting.figures.style import (
     PALE,
     WIDTH_IN,
