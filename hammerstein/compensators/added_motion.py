@@ -146,7 +146,7 @@ def approached(reference_um: Array, distance_um: Sequence[float], sample_time_s:
         counts.append(count)
     detours, right, short = zip(*counts, strict=True)
     if not (any(detours) or any(right)):
-        what = f"is useless here: no output of the path is constant for {SHORTEST_HOLD_S:g} s"
+        what = f"has no effect: no output of the path is constant for {SHORTEST_HOLD_S:g} s"
         raise InputError("--approach-side", what)
     return Approach(np.stack(rows), distance, detours, right, short)
 
