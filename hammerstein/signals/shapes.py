@@ -202,7 +202,7 @@ class Degauss(OnAxes):
 
     kind: Literal["degauss"] = "degauss"
     cycles: Cycles = Field(
-        default=20, description="periods in which the amplitude falls to zero, after a first period"
+        default=40, description="periods in which the amplitude falls to zero, after a first period"
     )
 
     def _wave(self, cycles: Array) -> Array:
