@@ -77,6 +77,9 @@ def played(
     """
     model = HammersteinModel.load(model_path)
     time_s, values, names = read_signal(drive_path)
+    if list(model.outputs) == names != list(model.inputs):
+        what = "has the columns of a path, not of voltages; compute its drive with hammerstein compensate"
+        raise InputError(str(drive_path), what)
     u = values[chosen(drive_path, names, model.inputs, "voltage", "drive")]
     sample_time_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     uneven = np.abs(np.diff(time_s) - sample_time_s) > EVENLY * sample_time_s

@@ -140,8 +140,8 @@ def clipping_mistakes(names: Sequence[str], u: Array, y: Array, rows: Indices) -
             times = f" ({len(places)} such places)" if len(places) > 1 else ""
             yield Mistake(
                 where(name, rows, start, stop),
-                f"stays at {column[start]:.6g} while the voltage moves on{times}: the sensor or the "
-                "drive is clipped; lower the amplitude or use a larger range",
+                f"stays at {column[start]:.6g} while the voltage moves on{times}: sensor or drive "
+                "is clipped (lower the amplitude or use a larger range), or inputs and outputs are swapped",
             )
 
 

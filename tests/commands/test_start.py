@@ -182,6 +182,7 @@ def test_play_says_where_voltages_leave_the_records(
         ("time_s,a,b\n0,1,1\n1,2,2\n5,0,0\n", "not evenly spaced: row 2"),
         ("a,b\n0,1\n", "needs a header with a column time_s"),
         ("time,a\n", "no numbers below it"),
+        ("time_s,x,y\n0,1,1\n1,2,2\n", "bad.csv: has the columns of a path, not of voltages; compute"),
     ],
 )
 def test_play_says_what_is_wrong(

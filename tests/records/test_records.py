@@ -106,6 +106,7 @@ class TestClipping:
         assert f"column x, rows {top + 1} to {last}" in text
         assert f"stays at {level:g} while the voltage moves on (2 such places)" in text
         assert "lower the amplitude or use a larger range" in text
+        assert "or inputs and outputs are swapped" in text  # voltages that wait at 0 V look the same
 
     def test_clipped_below_and_second_axis(self):
         text = message(Record, [U, 0 * U], [X, np.maximum(-X, -40.0)], 5e-3)
