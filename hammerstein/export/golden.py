@@ -77,7 +77,7 @@ class Uniform:
         return (2.0 * words.astype(np.float64) * 2.0**-53 - 1.0).reshape(axes, samples)
 
 
-STARTS, ROUNDS, SAMPLES = 8, 80, 60  # of a random search: begins, changes of each, length of a drive
+STARTS, ROUNDS, LENGTH = 8, 80, 60  # of a random search: begins, changes of each, length of a drive
 LEVELS = 40  # from the middle to the reach, and a quarter of that beyond it
 
 
@@ -99,14 +99,14 @@ def worst_case_step(operations: Callable[[Array], int], reach: Array) -> tuple[i
         return np.asarray(np.round(1.25 * LEVELS * rng.of(axes, samples)) / LEVELS)
 
     for start in range(STARTS):
-        best, most = levels(SAMPLES), 0
+        best, most = levels(LENGTH), 0
         for _ in range(ROUNDS):
             trial = best.copy()
-            where = (0.5 * SAMPLES * (rng.of(1, 3)[0] + 1.0)).astype(np.int64)
+            where = (0.5 * LENGTH * (rng.of(1, 3)[0] + 1.0)).astype(np.int64)
             jumps = levels(len(where))
             trial[:, where] = 1.25 * np.sign(jumps) if start % 2 else jumps
             found = operations(reach[:, None] * trial)
             if found >= most:
                 best, most = trial, found
         worst = max(worst, most)
-    return worst, STARTS * ROUNDS * SAMPLES
+    return worst, STARTS * ROUNDS * LENGTH

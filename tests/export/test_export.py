@@ -262,6 +262,7 @@ def test_the_folder_tests_itself(folder):
     assert done.returncode == 0, done.stdout + done.stderr
     assert "warning" not in done.stderr
     golden = (folder / "golden.csv").read_text()
+    assert len(golden.splitlines()) == 1 + 2000  # as the guide says
     last = golden.rstrip().rpartition(",")
     (folder / "golden.csv").write_text(f"{last[0]},{float(last[2]) + 1e-12!r}\n")
     assert subprocess.run(["make", "check"], cwd=folder, capture_output=True, check=False).returncode != 0
