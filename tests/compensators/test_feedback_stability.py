@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
+from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
-from hammerstein.dynamics import AxesDynamics, Axis, CreepMode
+from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
@@ -256,3 +257,14 @@ def test_a_stage_that_never_rings_is_looked_at_down_to_its_slowest_motion(sensor
     worst, radius = peak_and_radius(stage, law.gains, rng)
     assert radius < 1.0
     assert 0.9 * law.gains.sensitivity < worst < 1.01 * law.gains.sensitivity <= 1.01 * MOST
+
+
+def test_slow_loops_that_excite_each_other_are_looked_at_down_to_their_own_poles():
+    """Two integrators peak between their rates, here at 0.0003 Hz, where no frequency was looked at."""
+    slopes, step, integral = np.array([[3.65, -0.96], [0.69, 0.1]]), 50e-6, np.array([2e-4, 1.1e-3])
+    gains = Gains(np.zeros(2), integral, np.zeros(2))
+    stated = FeedbackLoop(discretise(StaticDynamics(n_outputs=2), step), slopes[None]).sensitivity(gains)
+    s = 2j * np.pi * np.geomspace(1e-6, 10.0, 4000)[:, None, None]
+    least = np.linalg.svd(np.eye(2) + slopes * integral / s, compute_uv=False)[:, -1].min()
+    assert stated == pytest.approx(1.0 / least, rel=1e-3)
+    assert stated > MOST

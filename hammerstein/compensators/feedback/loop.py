@@ -14,6 +14,7 @@ from hammerstein.errors import SimulationError
 
 POINTS = 800  # of the grid from a tenth of the slowest resonance to Nyquist
 NEAREST, NARROW = 0.05, 0.06  # about a resonance: the first distance in half widths, ln of the ratio of two
+SLOW = 60  # points down to a tenth of the slowest pole of the closed loop
 SMALL = 0.3  # loop gain whose distance from -1 needs no closer look
 DEEPEST, ROUNDS, CLOSER = 9, 3, 21
 """Closest approaches to -1 that are looked at again, how often, and points of each look: 1000 times finer."""
@@ -165,9 +166,10 @@ class FeedbackLoop(ByValue):
         poles = [self.poles(gains, slope) for slope in self.slopes]
         if any(np.abs(own).max() >= 1.0 for own in poles):
             return np.inf
-        angles = np.abs(np.angle(np.concatenate(poles)))
-        own = angles[angles > 0.0] / (2.0 * np.pi * self.sample_time_s)
-        frequency = np.unique(np.concatenate([self.frequency_hz, own]))
+        every = np.concatenate(poles)
+        angles, turn = np.abs(np.angle(every)), 2.0 * np.pi * self.sample_time_s
+        slow = np.geomspace(0.1 * np.abs(1.0 - every).min() / turn, self.frequency_hz[0], SLOW)
+        frequency = np.unique(np.concatenate([slow, self.frequency_hz, angles[angles > 0.0] / turn]))
         least = self._distance(gains, frequency)
         for _ in range(ROUNDS):
             inner = least[1:-1]
@@ -203,7 +205,10 @@ class FeedbackLoop(ByValue):
                 f"the slope of the hysteresis falls to {least:.3g} of its gain, and no gain is stable "
                 "for both signs. Identify at a lower frequency, or with dynamics."
             )
-        return "the loop gain of the model has the wrong sign, or its dynamics are not those of an actuator."
+        return (
+            "the loop gain of the model has the wrong sign, its slopes couple the outputs too much, "
+            "or its dynamics are not those of an actuator."
+        )
 
 
 LARGEST_SENSITIVITY = 1.6
