@@ -339,7 +339,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return found
 
     @cached_property
-    def _moving(self) -> list[Array]:
+    def moving(self) -> list[Array]:
         """Thresholds of each input that are fitted, above 0, in parts of half the span of its envelope."""
         halves = [0.5 * np.ptp(one.voltages_v) for one in self.envelopes]
         grids = [self.plays.bank.r[k, :n] for k, n in enumerate(self.plays.bank.n)]
@@ -348,13 +348,13 @@ class Generalised(Hysteresis[PlayState], Identifiable):
     @property
     def free(self) -> Array:
         """Thresholds above 0 of each input, then the numbers of its envelope, all in parts of the span."""
-        each = zip(self._moving, self.envelopes, strict=True)
+        each = zip(self.moving, self.envelopes, strict=True)
         return np.concatenate([part for r, one in each for part in (r, one.free)])
 
     def at(self, free: Array) -> Generalised:
         """Return the same weights with other thresholds, which all outputs share, and envelopes."""
         envelopes, thresholds, first = [], [], 0
-        for k, (r, one) in enumerate(zip(self._moving, self.envelopes, strict=True)):
+        for k, (r, one) in enumerate(zip(self.moving, self.envelopes, strict=True)):
             places = _kept_apart(free[first : first + len(r)])
             first += len(r)
             envelopes.append(one.with_free(free[first : first + one.n_free]))
@@ -367,7 +367,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
     def limits(self, driven: Driven) -> Limits:
         """Thresholds that the swing engages, and envelopes that bend within it."""
         parts = []
-        for r, one in zip(self._moving, self.envelopes, strict=True):
+        for r, one in zip(self.moving, self.envelopes, strict=True):
             own = one.limits()
             parts.append((np.full(len(r), LEAST_ENGAGED), np.full(len(r), 1.0 - LEAST_ENGAGED), own))
         lower = np.concatenate([part for low, _, own in parts for part in (low, own.lower)])
@@ -385,7 +385,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         bank, values, stood = self.plays.bank, [], []
         for k, n in enumerate(self.plays.bank.n):
             r, w, half = bank.r[k, :n], bank.w[k, :n], 0.5 * np.ptp(self.envelopes[k].voltages_v)
-            kept, found = slice(n - len(self._moving[k]), None), []
+            kept, found = slice(n - len(self.moving[k]), None), []
             each = [self._moved(k, u) for u in (before_v[k], *(u_v[k],) * passes)]
             memory = np.full(n, each[0][0][0]), np.zeros(n), np.tile(each[0][1][:, 0], (n, 1))
             for x, moved in each:

@@ -32,7 +32,7 @@ import numpy as np
 
 from hammerstein.arrays import Array, Indices
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
-from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
+from hammerstein.hysteresis import Generalised, Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
@@ -110,7 +110,14 @@ def _scale(hysteresis: Hysteresis[Any], size: int, records: Sequence[Record]) ->
     cells, m = sum(map(len, groups)), hysteresis.n_inputs
     ends = list(zip(*swing_ends(records), strict=True))
     each = [_cells(r, *((0.0, np.inf) if i < m else ends[i % m])) for i, r in enumerate(groups)]
-    return np.concatenate([*each, np.ones(size - cells)]), cells
+    beside, first = np.ones(size - cells), 0
+    if isinstance(hysteresis, Generalised):
+        for r, envelope in zip(hysteresis.moving, hysteresis.envelopes, strict=True):
+            knots = slice(first + len(r), first + len(r) + len(envelope.voltages_v) - 2)
+            beside[first : knots.start] = _cells(r, 0.0, np.inf)
+            beside[knots] = _cells(envelope.free[: knots.stop - knots.start], 0.0, 1.0)
+            first += len(r) + envelope.n_free
+    return np.concatenate([*each, beside]), cells
 
 
 def _cells(r: Array, low: float, high: float) -> Array:
