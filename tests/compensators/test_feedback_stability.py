@@ -14,7 +14,7 @@ from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
-from hammerstein.errors import SimulationError
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
@@ -268,3 +268,12 @@ def test_slow_loops_that_excite_each_other_are_looked_at_down_to_their_own_poles
     least = np.linalg.svd(np.eye(2) + slopes * integral / s, compute_uv=False)[:, -1].min()
     assert stated == pytest.approx(1.0 / least, rel=1e-3)
     assert stated > MOST
+
+
+def test_no_gains_are_computed_where_thresholds_grow_with_the_rate():
+    """They were computed as if thresholds stood still: stated sensitivities of 1.6 were truly up to 5.2."""
+    model = HammersteinModel.load("rate_dependent_stack")
+    with pytest.raises(InputError, match=r"grow with the rate.*give proportional and integral_per_s"):
+        FeedbackController(model, 10.0, 1e-5)
+    given = Gains(*np.array([[0.1], [50.0], [0.0]]).repeat(model.hysteresis.n_outputs, axis=1))
+    assert FeedbackController(model, 10.0, 1e-5, gains=given).gains is given

@@ -341,6 +341,12 @@ def _computed(
             "the model has no dynamics, so no stable gain can be computed; identify the dynamics too "
             '(method = "hammerstein"), or give the gains',
         )
+    if model.hysteresis.kind == "rate_dependent":
+        raise InputError(
+            "feedback",
+            "the thresholds of the model grow with the rate, which the computed gains would leave out; give "
+            "proportional and integral_per_s, or a model of another kind",
+        )
     block, p = discretise(model.dynamics, sample_time_s, sensor_bandwidth_hz), model.hysteresis.n_outputs
     reading = LinearBlock(block.A, block.B, block.C[p:], block.D[p:], sample_time_s)
     return tuned(FeedbackLoop(reading, np.array(_extreme_slopes(model))), derivative)
