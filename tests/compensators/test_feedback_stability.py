@@ -272,7 +272,9 @@ def test_slow_loops_that_excite_each_other_are_looked_at_down_to_their_own_poles
 
 def test_no_gains_are_computed_where_thresholds_grow_with_the_rate():
     """They were computed as if thresholds stood still: stated sensitivities of 1.6 were truly up to 5.2."""
-    model = HammersteinModel.load("rate_dependent_stack")
+    static = HammersteinModel.load("rate_dependent_stack")
+    axes = (Axis(resonance_hz=400.0, damping_ratio=0.1),) * static.hysteresis.n_outputs
+    model = replace(static, dynamics=AxesDynamics(axes=axes))
     with pytest.raises(InputError, match=r"grow with the rate.*give proportional and integral_per_s"):
         FeedbackController(model, 10.0, 1e-5)
     given = Gains(*np.array([[0.1], [50.0], [0.0]]).repeat(model.hysteresis.n_outputs, axis=1))
