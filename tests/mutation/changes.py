@@ -25,7 +25,6 @@ NUMERICAL = (
     "hammerstein/signals/units.py",
     "hammerstein/experiment/measure.py",
     "hammerstein/experiment/recording.py",
-    "hammerstein/experiment/settling.py",
     "hammerstein/experiment/simulated_identification.py",
     "hammerstein/experiment/draws.py",
     "hammerstein/blocks/interop/limit_cycles.py",
