@@ -12,7 +12,7 @@ from functools import cache, partial
 import numpy as np
 
 from hammerstein.dynamics import AxesDynamics
-from hammerstein.errors import HammersteinError, IdentificationError
+from hammerstein.errors import HammersteinError
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import Prepared, fit_kind, fit_plays, identify, settings_of_plays
 from hammerstein.identification.options import PLAYS, identifiable_kinds
@@ -109,17 +109,16 @@ def fit_all(
     others = [kind for kind in identifiable_kinds() if kind != PLAYS]
     settings = settings.with_plays()
     given = partial(_worked_off, jobs=jobs, progress=progress, total=1 + len(others))
-    known: list[tuple[Settings, _Given]] = []
+    known: dict[Settings, _Given] = {}
 
     def fitted(kinds: Sequence[str], asked: Settings, done: int) -> list[_Given]:
         """Fit kinds behind plays of their settings, those that are not known first."""
         wanted = [settings_of_plays(asked, kind) for kind in kinds]
-        new = [one for i, one in enumerate(wanted) if one not in [*wanted[:i], *(own for own, _ in known)]]
+        new = [one for one in dict.fromkeys(wanted) if one not in known]
         tasks = [partial(_of_plays, tuple(records), tuple(validation), one) for one in new]
-        known.extend(zip(new, given(tasks, [PLAYS] * len(new), done), strict=True))
-        begun = [next(found for own, found in known if own == one) for one in wanted]
-        each = zip(begun, kinds, strict=True)
-        return given([partial(_of_kind, plays, asked, kind) for plays, kind in each], kinds, done)
+        known.update(zip(new, given(tasks, [PLAYS] * len(new), done), strict=True))
+        each = zip(wanted, kinds, strict=True)
+        return given([partial(_of_kind, known[plays], asked, kind) for plays, kind in each], kinds, done)
 
     [plays] = fitted([PLAYS], settings, 0)
     behind = _with_dynamics(records, settings, plays) or _without_dynamics(settings)
@@ -211,12 +210,8 @@ def _of_kind(plays: _Given, asked: Settings, kind: str) -> _Given:
         return replace(_of_kind(plays, _without_dynamics(asked), kind), error=error)
     seconds = plays.seconds + time.process_time() - begun
     if kind == PLAYS:
-        names = {which: OF_PLAYS[which] for which in OF_PLAYS if which in fit.candidates}
-        return _Given(
-            tuple(_fitted(fit, fit.candidates[which], model, *names[which], seconds) for which in names)
-        )
-    if model.hysteresis.kind != kind:
-        return _Given(error=IdentificationError(f"not identifiable: {fit.not_identifiable[0]}"))
+        known = ((OF_PLAYS[which], one) for which, one in fit.candidates.items())
+        return _Given(tuple(_fitted(fit, one, model, *names, seconds) for names, one in known))
     best = fit.candidates[fit.kind]
     found = {kind: best} if fit.is_static else {kind: fit.alone or best, kind + WITH_DYNAMICS: best}
     return _Given(tuple(_fitted(fit, one, model, name, kind, seconds) for name, one in found.items()))

@@ -16,7 +16,7 @@ from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
 from hammerstein.hysteresis.envelope_kernels import bent_at, tanh_by_doubling
-from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
+from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits, within_gaps
 from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, described
@@ -339,7 +339,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         return found
 
     @cached_property
-    def moving(self) -> list[Array]:
+    def _moving(self) -> list[Array]:
         """Thresholds of each input that are fitted, above 0, in parts of half the span of its envelope."""
         halves = [0.5 * np.ptp(one.voltages_v) for one in self.envelopes]
         grids = [self.plays.bank.r[k, :n] for k, n in enumerate(self.plays.bank.n)]
@@ -348,13 +348,23 @@ class Generalised(Hysteresis[PlayState], Identifiable):
     @property
     def free(self) -> Array:
         """Thresholds above 0 of each input, then the numbers of its envelope, all in parts of the span."""
-        each = zip(self.moving, self.envelopes, strict=True)
+        each = zip(self._moving, self.envelopes, strict=True)
         return np.concatenate([part for r, one in each for part in (r, one.free)])
+
+    @property
+    def free_spread(self) -> Array:
+        """Thresholds and knots stay within their gaps; see ``Identifiable``."""
+        found = []
+        for r, one in zip(self._moving, self.envelopes, strict=True):
+            knots = len(one.voltages_v) - 2
+            found += [within_gaps(r, 0.0, np.inf), within_gaps(one.free[:knots], 0.0, 1.0)]
+            found.append(np.ones(one.n_free - knots))
+        return np.concatenate(found)
 
     def at(self, free: Array) -> Generalised:
         """Return the same weights with other thresholds, which all outputs share, and envelopes."""
         envelopes, thresholds, first = [], [], 0
-        for k, (r, one) in enumerate(zip(self.moving, self.envelopes, strict=True)):
+        for k, (r, one) in enumerate(zip(self._moving, self.envelopes, strict=True)):
             places = _kept_apart(free[first : first + len(r)])
             first += len(r)
             envelopes.append(one.with_free(free[first : first + one.n_free]))
@@ -367,7 +377,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
     def limits(self, driven: Driven) -> Limits:
         """Thresholds that the swing engages, and envelopes that bend within it."""
         parts = []
-        for r, one in zip(self.moving, self.envelopes, strict=True):
+        for r, one in zip(self._moving, self.envelopes, strict=True):
             own = one.limits()
             parts.append((np.full(len(r), LEAST_ENGAGED), np.full(len(r), 1.0 - LEAST_ENGAGED), own))
         lower = np.concatenate([part for low, _, own in parts for part in (low, own.lower)])
@@ -383,12 +393,12 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         from hammerstein.hysteresis.envelope_kernels import play_derivatives
 
         bank, values, stood = self.plays.bank, [], []
-        for k, n in enumerate(self.plays.bank.n):
+        for k, n in enumerate(bank.n):
             r, w, half = bank.r[k, :n], bank.w[k, :n], 0.5 * np.ptp(self.envelopes[k].voltages_v)
-            kept, found = slice(n - len(self.moving[k]), None), []
-            each = [self._moved(k, u) for u in (before_v[k], *(u_v[k],) * passes)]
-            memory = np.full(n, each[0][0][0]), np.zeros(n), np.tile(each[0][1][:, 0], (n, 1))
-            for x, moved in each:
+            kept, found = slice(n - len(self._moving[k]), None), []
+            before, own = self._moved(k, before_v[k]), self._moved(k, u_v[k])
+            memory = np.full(n, before[0][0]), np.zeros(n), np.tile(before[1][:, 0], (n, 1))
+            for x, moved in (before, *(own,) * passes):
                 found.append(np.empty((n + len(moved), w.shape[1], len(x))))
                 play_derivatives(x, moved, r, w, *memory, found[-1])
                 found[-1][:n] *= half

@@ -122,6 +122,11 @@ class Identifiable(ABC):
         return self
 
     @property
+    def free_spread(self) -> Array:
+        """Possible change of each free parameter (number,), as a standard deviation, where it is linear."""
+        return np.ones(len(self.free))
+
+    @property
     def places(self) -> tuple[Array, ...]:
         """Places that are fixed, not ``free``, in sorted groups (place,) [V].
 
@@ -221,6 +226,12 @@ class Identifiable(ABC):
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
         """Sentences about the fitted parameters, for the report."""
         return []
+
+
+def within_gaps(r: Array, low: float, high: float) -> Array:
+    """Standard deviation (place,) of a uniform distribution as wide as the nearest gap between ends."""
+    gaps = np.maximum(np.diff(r, prepend=low, append=high), 0.0)
+    return np.asarray(np.minimum(gaps[:-1], gaps[1:]) / np.sqrt(12.0))
 
 
 def mean_slopes(block: Hysteresis[Any], driven: Driven) -> Array:

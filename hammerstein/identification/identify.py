@@ -106,18 +106,30 @@ def identify(
     (array([3., 1., 1.]), True)
     """
     asked = settings or Settings()
-    prepared = fit_plays(records, asked, validation, progress)
-    return fit_kind(prepared, asked, name=name, instruments=instruments, progress=progress)
+
+    def found(asked: Settings) -> tuple[HammersteinModel, Fit]:
+        prepared = fit_plays(records, asked, validation, progress)
+        return fit_kind(prepared, asked, name=name, instruments=instruments, progress=progress)
+
+    try:
+        return found(asked)
+    except UntoldError as error:
+        model, fit = found(asked.with_plays())
+        return model, replace(fit, not_identifiable=(str(error), *fit.not_identifiable))
+
+
+class UntoldError(IdentificationError):
+    """The records do not identify what a kind of hysteresis has beside plays."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """Records with the plays and linear models fitted to them: what the fit of any kind begins with.
 
-    given : records and validation records as they were given
+    given : records as they were given
     """
 
-    given: tuple[tuple[Record, ...], tuple[Record, ...]]
+    given: tuple[Record, ...]
     task: Task
     built: CandidateSet
     curve: tuple[CurvePoint, ...]
@@ -159,8 +171,7 @@ def fit_plays(
     tell("testing the models")
     built, trials = _kept(task, built)
     errors = Errors({}, {}, held, held_starts, response, trials)
-    given = tuple(records), tuple(validation)
-    return Prepared(given, replace(task, progress=_silent), built, curve, settle_s, errors)
+    return Prepared(tuple(records), replace(task, progress=_silent), built, curve, settle_s, errors)
 
 
 @_told
@@ -173,19 +184,17 @@ def fit_kind(
     instruments: Instruments | None = None,
     progress: Progress | None = None,
 ) -> tuple[HammersteinModel, Fit]:
-    """Fit the kind of hysteresis that is asked for behind plays that are known; see ``identify``."""
+    """Fit the kind of hysteresis that is asked for behind plays that are known; see ``identify``.
+
+    Raises UntoldError where plays are as good.
+    """
     tell, plain = progress or _silent, asked.hysteresis == PLAYS
     task, built, errors = replace(prepared.task, progress=tell), prepared.built, prepared.errors
     settings = task.settings
     if not plain:
         task, built = with_hysteresis(replace(task, settings=asked), built)
         if built.untold:
-            records, validation = prepared.given
-            classical = asked.with_plays()
-            model, fit = identify(
-                records, classical, validation=validation, name=name, instruments=instruments, progress=tell
-            )
-            return model, replace(fit, not_identifiable=(built.untold, *fit.not_identifiable))
+            raise UntoldError(built.untold)
         starts = _starts_of_held(errors.held, built, prepared.settle_s, settings)
         errors = errors._replace(held_starts=starts)
     errors = errors._replace(
@@ -196,7 +205,7 @@ def fit_kind(
     known = parameter_covariance(
         built.best.candidate, task.records, task.starts, plain and built.best.blocks.fitted
     )
-    voltages = voltages_of(prepared.given[0], task.records, task.starts)
+    voltages = voltages_of(prepared.given, task.records, task.starts)
     fit = fit_of(task, built, prepared.curve, errors, voltages, known)
     return model_of(fit, built.best.candidate, name, instruments), fit
 

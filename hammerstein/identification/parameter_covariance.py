@@ -32,8 +32,8 @@ import numpy as np
 
 from hammerstein.arrays import Array, Indices
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
-from hammerstein.hysteresis import Generalised, Hysteresis, PrandtlIshlinskii
-from hammerstein.hysteresis.identifiable import Identifiable
+from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
+from hammerstein.hysteresis.identifiable import Identifiable, within_gaps
 from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
 from hammerstein.identification.misspecification import moved_beside_other_laws, other_columns
@@ -104,26 +104,16 @@ def _scale(hysteresis: Hysteresis[Any], size: int, records: Sequence[Record]) ->
     A threshold lies anywhere within half the distance to its nearest neighbour, where the linearisation
     holds; neighbours are 0 V, too, for a threshold, and for a breakpoint the ends of the recorded swing.
     """
-    groups = hysteresis.places if isinstance(hysteresis, Identifiable) else ()
+    groups: tuple[Array, ...] = ()
+    spread = np.empty(0)
     if isinstance(hysteresis, PrandtlIshlinskii):
         groups = tuple(np.split(hysteresis.free, np.cumsum(hysteresis.bank.n)[:-1]))
+    elif isinstance(hysteresis, Identifiable):
+        groups, spread = hysteresis.places, hysteresis.free_spread
     cells, m = sum(map(len, groups)), hysteresis.n_inputs
     ends = list(zip(*swing_ends(records), strict=True))
-    each = [_cells(r, *((0.0, np.inf) if i < m else ends[i % m])) for i, r in enumerate(groups)]
-    beside, first = np.ones(size - cells), 0
-    if isinstance(hysteresis, Generalised):
-        for r, envelope in zip(hysteresis.moving, hysteresis.envelopes, strict=True):
-            knots = slice(first + len(r), first + len(r) + len(envelope.voltages_v) - 2)
-            beside[first : knots.start] = _cells(r, 0.0, np.inf)
-            beside[knots] = _cells(envelope.free[: knots.stop - knots.start], 0.0, 1.0)
-            first += len(r) + envelope.n_free
-    return np.concatenate([*each, beside]), cells
-
-
-def _cells(r: Array, low: float, high: float) -> Array:
-    """Standard deviation (place,) of a uniform distribution as wide as the nearest gap between ends [V]."""
-    gaps = np.maximum(np.diff(r, prepend=low, append=high), 0.0)
-    return np.asarray(np.minimum(gaps[:-1], gaps[1:]) / np.sqrt(12.0))
+    each = [within_gaps(r, *((0.0, np.inf) if i < m else ends[i % m])) for i, r in enumerate(groups)]
+    return np.concatenate([*each, spread, np.ones(size - cells - len(spread))]), cells
 
 
 class _Told(NamedTuple):

@@ -216,13 +216,10 @@ class _Search:
         tasks = [self._axis_task(o, self._columns(block, o)) for o in range(self.task.outputs)]
         if near is None:
             near = self.solved(block, [_moments(*both) for both in zip(tasks, x, strict=True)])
-        moments = []
-        if s:
-            extended = self._with_bends(
-                block, [one.kept for one in tasks], [one.coefficients for one in near]
-            )
-        for o, (one, own) in enumerate(zip(tasks, x, strict=True)):
-            moments.append(_derived(replace(one, kept=extended[o]) if s else one, own, near[o].coefficients))
+        kept, weights = [one.kept for one in tasks], [one.coefficients for one in near]
+        kept = self._with_bends(block, kept, weights) if s else kept
+        each = zip(tasks, kept, x, weights, strict=True)
+        moments = [_derived(replace(one, kept=own), at, w) for one, own, at, w in each]
         counts = [one.columns for one in tasks]
         firsts = [_first(moment, n) for moment, n in zip(moments, counts, strict=True)]
         solutions = self.solved(block, firsts)

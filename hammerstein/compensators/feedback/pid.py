@@ -341,7 +341,7 @@ def _computed(
             "the model has no dynamics, so no stable gain can be computed; identify the dynamics too "
             '(method = "hammerstein"), or give the gains',
         )
-    if model.hysteresis.kind == "rate_dependent":
+    if getattr(model.hysteresis, "passes_for_delay", False):  # its slopes lag behind the voltage
         raise InputError(
             "feedback",
             "the thresholds of the model grow with the rate, which the computed gains would leave out; give "
