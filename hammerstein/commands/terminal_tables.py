@@ -203,7 +203,7 @@ def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
     table.columns[0].max_width = LOOP_FILE_WIDTH
     for source, loops in found.items():
         for loop in loops:
-            size = (loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent)
+            size = (2.0 * loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent)
             table.add_row(
                 Path(source).name,
                 loop.input,

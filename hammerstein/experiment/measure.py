@@ -299,7 +299,8 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     for result in results:
         row = result.rows[0]
         axis = "all axes" if row.excited_axis == "all" else f"axis {row.excited_axis}"
-        where = f"{row.compensator or setup.plant.model.name}{row.at}, {axis}"
+        run = row.compensator if setup.scenario.compensators else setup.plant.model.name  # models share it
+        where = f"{run}{row.at}, {axis}"
         if result.unsettled:
             statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
         if cut := row.saturated_samples:

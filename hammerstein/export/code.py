@@ -205,9 +205,9 @@ class CCode:
         )
         if ahead := self.block.preview_samples:
             said.append(
-                f"The output at sample k is the drive for the reference of sample k - {ahead}: call "
-                f"step {ahead} times with the path before the first drive is due, or accept its delay "
-                f"of {ahead * request.sample_time_s:.3g} s."
+                f"The output at sample k is the drive for the reference of sample k - {ahead}: call step "
+                f"{'once' if ahead == 1 else f'{ahead} times'} with the path before the first drive is due, "
+                f"or accept its delay of {ahead * request.sample_time_s:.3g} s."
             )
         kind = COMPENSATORS.kinds[request.law]
         also = (

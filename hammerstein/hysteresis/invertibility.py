@@ -72,10 +72,10 @@ class Invertibility:
         total = self.positive + self.negative + self.singular
         if self.invertible:
             jumps = ", ".join(f"{jump:.3g} V on {self._name(k)}" for k, jump in enumerate(self.jump_v))
-            return (
-                f"The model has an inverse for every reference: the determinants of its {total} slope "
-                "matrices have the same sign."
-            ) + (f" At turning points of an input, its drive jumps: {jumps}." if self.jump_v.any() else "")
+            many = f"the determinants of its {total} slope matrices have the same sign."
+            proof = many if total > 1 else "its only slope matrix is not singular."
+            turns = f" At turning points of an input, its drive jumps: {jumps}." if self.jump_v.any() else ""
+            return f"The model has an inverse for every reference: {proof}{turns}"
         if self.unproven:
             return f"It is not proven that the model has an inverse: {self.unproven}."
         other = min(self.positive, self.negative)

@@ -97,14 +97,14 @@ def run_page(report: Report, figures: Iterable[str] = ()) -> Page:
     asked = scenario.assessment
     place = "" if asked is None else asked.place()
     met = sum(judgement.agrees for judgement in judged)
-    printed = Markdown("{} (*{}*).").format(place[:1].upper() + place[1:], asked.source()) if asked else ""
+    printed = (
+        Markdown("{} (*{}*).").format(place[:1].upper() + place[1:], asked.source())
+        if asked and place
+        else ""
+    )
     return Page(
         heading=paragraphs(
-            [
-                Markdown("# {}").format(report.name),
-                Markdown("**{}**").format(scenario.question),
-                printed if place else "",
-            ]
+            [Markdown("# {}").format(report.name), Markdown("**{}**").format(scenario.question), printed]
         ),
         what=" · ".join([report.name, place] if place else [report.name]),
         title=scenario.question,
@@ -129,10 +129,7 @@ def _answer(report: Report) -> Markdown:
     return paragraphs(
         part
         for sentence in sentences(report, quoted)
-        for part in (
-            told(sentence.words),
-            _small_table([list(map(told, row)) for row in sentence.table]),
-        )
+        for part in (told(sentence.words), _small_table([list(map(told, row)) for row in sentence.table]))
     )
 
 
@@ -225,11 +222,9 @@ def figure_of(name: str, report: Report) -> Shown:
         "A line with a band or bars shows the median and 5 to 95 % of the drawn actuators, beside the "
         "nominal one."
     ] * bool(report.bands)
-    identified = ["A vertical tick marks the frequency of a model's identification."] * bool(
-        identified_at(report)
-    )
+    identified = ["A star marks the frequency at which a model was identified."] * bool(identified_at(report))
     drawn = (*report.scenario.compensators, *report.scenario.models)
-    behind = ["Grey curves are those of the other panels."] * (len(drawn) > MOST_CURVES)
+    behind = ["Grey curves belong to the other panels."] * (len(drawn) > MOST_CURVES)
     remarks = {
         "loops": ["The wide grey line is the ideal response.", _lag(report)] * compared
         + ["Dark dashes show the models."] * bool(models and len(models) <= MOST_OVERLAYS),
@@ -257,7 +252,7 @@ def _lag(report: Report) -> str:
     opened = math.sin(math.atan(highest / bandwidth))
     return (
         f"The curves are sensor readings: the lag of the {bandwidth:g} Hz sensor alone opens a "
-        f"straight line to a loop, {percent(opened)} of its height wide at {highest:g} Hz."
+        f"straight line into a loop, {percent(opened)} of its height wide at {highest:g} Hz."
     )
 
 

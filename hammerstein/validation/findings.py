@@ -156,7 +156,9 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
             continue  # too short without the entries that are wrong themselves
         place = schema.place(_without_mark(finding["loc"]))
         found.setdefault(_where(dict(finding), place), []).append({**finding, "place": place})
-    return [_mistake(where, findings, schema) for where, findings in found.items()]
+    mistakes = [_mistake(where, findings, schema) for where, findings in found.items()]
+    meant = {"".join((*m.where.rpartition(".")[:2], m.what.rpartition(" ")[2])) for m in mistakes}
+    return [m for m in mistakes if m.what != "is missing" or f"{m.where}?" not in meant]
 
 
 @contextmanager

@@ -190,6 +190,8 @@ def test_printed_table_has_an_inverse_and_is_solved():
     path = 50.0 * np.stack([np.cos(angle), np.sin(angle)])
     drive, _ = law.respond(path)
     assert np.abs(_textbook(_table(), drive) - path).max() < 1e-9
+    backlash = PrandtlIshlinskii([[Pair([3.0], [2.0])]])
+    assert "its only slope matrix is not singular" in invertibility(backlash).statement()
 
 
 def test_one_play_is_inverted_by_a_jump_of_twice_its_threshold():

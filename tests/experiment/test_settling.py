@@ -54,6 +54,17 @@ def test_creep_outlasts_twenty_times_the_cycles(tmp_path, creeping):
     assert "the actuator creeps, with time constants up to 300 s" in text
 
 
+def test_a_run_that_models_share_is_called_by_its_actuator():
+    """It was "3 operators at 50 Hz": the first of seven models, which all predict the same run."""
+    models = [{"label": f"model {k}", "model": "duo_bimorph_static"} for k in (1, 2)]
+    drive = {"kind": "sine", "amplitude_v": 8.0, "frequency_hz": 200.0, "axis": 1}
+    measure = {"settle_cycles": 0, "settle_s": 0.0}
+    said = run(
+        {"question": "?", "actuator": "duo_bimorph", "drive": drive, "models": models, "measure": measure}
+    )
+    assert [text.partition(" at ")[0] for text in said.statements if "settled" in text] == ["duo_bimorph"]
+
+
 def test_the_end_of_the_path_is_no_lack_of_settling():
     law = {"label": "slow", "law": "hammerstein_inverse", "filter_hz": 200, "model": "duo_bimorph"}
     triangle = {

@@ -387,7 +387,8 @@ def test_the_preview_has_one_name(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("hammerstein.export.folder.compiler", lambda: None)  # no search for the dearest step
     given = ("export", "duo_bimorph", "--law", "hammerstein_inverse", "--out", str(tmp_path / "out"))
     assert _call(*given) == 0
-    assert "the reference of sample k" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "the reference of sample k - 1: call step once" in said
     assert _call(*given, "--preview-s", "0.0") == 0
     assert "the reference of sample k" not in capsys.readouterr().out
     for command in ("export", "compensate"):

@@ -581,3 +581,4 @@ def test_the_table_of_loops_fits_80_columns(tmp_path, capsys, monkeypatch):
     assert rows
     table = lines[: rows[-1] + 1]
     assert [line for line in table if len(line.rstrip()) > 80] == []
+    assert {lines[k].split()[3] for k in rows if "minor" not in lines[k]} == {"20"}  # from -10 to 10 V

@@ -147,16 +147,18 @@ def test_sweep_draws_the_rows_and_marks_the_identification() -> None:
     rows = [
         r for r in report.rows if r.compensator == "other" and (r.excited_axis, r.measured_axis) == ("y", "x")
     ]
-    curves = [line for line in panels[1].lines if line.get_marker() != "|"]
-    ticks = [line for line in panels[1].lines if line.get_marker() == "|"]
+    curves = [line for line in panels[1].lines if line.get_marker() != "*"]
+    marks = [
+        line for line in panels[1].lines if line.get_marker() == "*"
+    ]  # a tick looked like a bar of a band
     assert curves[1].get_ydata().tolist() == [row.rms_um for row in rows]
-    assert [tick.get_xdata()[0] for tick in ticks] == [50.0, 80.0]
+    assert [mark.get_xdata()[0] for mark in marks] == [50.0, 80.0]
     at_80 = next(row.rms_um for row in rows if row.frequency_hz == 80.0)
-    assert ticks[1].get_ydata()[0] == pytest.approx(at_80)
-    assert ticks[1].get_color() == curves[1].get_color()
+    assert marks[1].get_ydata()[0] == pytest.approx(at_80)
+    assert marks[1].get_color() == curves[1].get_color()
 
 
-def test_sweep_has_no_tick_outside_its_range() -> None:
+def test_sweep_has_no_mark_outside_its_range() -> None:
     curve = SweepCurve("a", np.array([1.0, 10.0]), np.array([[[1.0, 2.0]]]), mark=50.0)
     figure = sweep_figure([curve], [["x"]], "rms error")
     assert legend_texts(figure) == ["a"]
@@ -250,7 +252,8 @@ def test_path_shows_every_radius_and_its_legend_the_worst_distance_of_the_larges
     assert sizes == pytest.approx([15.0, 40.0], rel=1e-3)
     assert len(plane.lines) == 2 * 2 + 2
     row = next(r for r in report.rows if r.compensator == "paper" and r.amplitude_um == 40.0)
-    assert legend_texts(figure)[0] == f"paper (worst {row.euclidean_max_true_um:.2f} µm)"
+    worst = f"worst {row.euclidean_max_true_um:.2f} µm, radius 40 µm"
+    assert legend_texts(figure)[0] == f"paper ({worst})"
     assert [axes.get_title("left") for axes in figure.axes] == ["(a)", "(b)", "(c)"]
     assert figure.legends[0].get_title().get_text() == "Circle: true position"
 

@@ -141,7 +141,7 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
         for number, axes in enumerate(panels := [*planes, *traces]):
             letter(axes, number, "" if axes in planes and told_apart else group)
             few_ticks(axes)
-        entries = {_entry(label, largest): line for label, line in lines.items()}
+        entries = {_entry(label, largest, runs): line for label, line in lines.items()}
         goal = {target: panels[0].lines[-1]} if runs[0].target_um is not None else {}
         legend_above(figure, entries | goal, title)
     return figure
@@ -177,7 +177,7 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
             letter(axes, row * len(groups) + column, groups[column])
             if quantity == 0:
                 _scale_distance(axes, runs)
-        entries = {_entry(label, runs): line for label, line in lines.items()}
+        entries = {_entry(label, runs, runs): line for label, line in lines.items()}
         legend_above(figure, entries, title)
     return figure
 
@@ -281,12 +281,16 @@ def _draw_over_time(
     return lines
 
 
-def _entry(label: str, runs: Sequence[PathRun]) -> str:
-    """Label with the worst distance of its runs as a whole; of one axis, the worst error."""
+def _entry(label: str, runs: Sequence[PathRun], every: Sequence[PathRun]) -> str:
+    """Label with the worst distance of its runs as a whole, and its group where there are several; of one
+    axis, the worst error.
+    """
     same = [run for run in runs if run.label == label]
     if same[0].target_um is None:
         return plain(label)
-    return f"{plain(label)} (worst {significant(max(run.worst_um for run in same))} µm)"
+    worst = max(same, key=lambda run: run.worst_um)
+    group = f", {worst.group}" if any(run.group != worst.group for run in every) else ""
+    return f"{plain(label)} (worst {significant(worst.worst_um)} µm{group})"
 
 
 def _scale_distance(axes: Axes, runs: Sequence[PathRun]) -> None:

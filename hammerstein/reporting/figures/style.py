@@ -183,8 +183,12 @@ def in_lines(text: str, letters: int) -> str:
     >>> in_lines("circle (worst 3.42 µm)", 20)
     'circle (worst\n3.42 µm)'
     """
-    joined = re.sub(r"(?<=\d) (?=(?:µm|nm|V|Hz|ms|s|%)(?!\w))", JOINT, text)
-    return "\n".join(textwrap.wrap(joined, letters)).replace(JOINT, " ")
+    return "\n".join(textwrap.wrap(joined(text), letters)).replace(JOINT, " ")
+
+
+def joined(text: str) -> str:
+    """Text in which no line ends between a number and its unit."""
+    return re.sub(r"(?<=\d) (?=(?:µm|um|nm|V|k?Hz|min|[mu]?s|%)(?!\w))", JOINT, text)
 
 
 def column_words(column: str) -> str:

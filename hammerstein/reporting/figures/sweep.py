@@ -36,6 +36,7 @@ BEHIND = {"color": "#cccccc", "linewidth": 0.8, "zorder": 0.5}
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
 """Two bands that lie over each other stay apart."""
+STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 10, "markeredgecolor": "white"}
 NOMINAL_WIDTH = 0.5
 """Thin, as the band is what counts."""
 BAR_WIDTH = 2.5
@@ -51,7 +52,7 @@ class SweepCurve:
     label : name in the legend
     x : (point,) frequency [Hz] or another swept value, positive and increasing
     values : (output, input, point); NaN where there is none
-    mark : position of a tick on the curve, such as the frequency of its identification; None: no tick
+    mark : position of a star on the curve, such as the frequency of its identification; None: no star
     band : lower and upper edge around the curve, each as ``values``; None: no band
     nominal : (output, input, point) drawn thin beside the curve, which is then the median of its band
     """
@@ -73,7 +74,7 @@ def sweep_figure(
 ) -> Figure:
     """Curves against frequency in the paper's arrangement (Figs. 7, 9), in several rows if there are many.
 
-    A vertical tick on a curve marks the frequency of its identification.
+    A star on a curve marks the frequency of its identification.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def sweep_figure(
 
 
 def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) -> Artist:
-    """One curve in one panel, with its tick."""
+    """One curve in one panel, with its mark."""
     style, values = line_style(number) | {"label": plain(curve.label)}, curve.values[output, input_]
     markers = sparse_markers(len(values), number, markers=9)
     (line,) = axes.plot(curve.x, values, markevery=markers, **style)
@@ -134,8 +135,7 @@ def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) 
     if mark is not None:
         logarithms = np.log(np.maximum(values, 1e-12))
         height = np.exp(np.interp(np.log(mark), np.log(curve.x), logarithms))
-        tick = {"color": style["color"], "markersize": 14, "markeredgewidth": 2.2}
-        axes.plot([mark], [height], "|", zorder=3, clip_on=False, **tick)
+        axes.plot([mark], [height], color=style["color"], zorder=3, clip_on=False, **STAR)
     return line
 
 
@@ -169,20 +169,19 @@ def _beside(axes: Axes, x: Array, places: float) -> Array:
 
 
 def _mark(curve: SweepCurve) -> float | None:
-    """Place of the tick, if the curve passes it."""
+    """Place of the mark, if the curve passes it."""
     inside = curve.mark is not None and curve.x[0] <= curve.mark <= curve.x[-1]
     return curve.mark if inside else None
 
 
 def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
-    """Entries of the legend for ticks and bands."""
+    """Entries of the legend for marks and bands."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     entries: dict[str, Artist] = {}
     if any(_mark(curve) is not None for curve in curves):
-        tick = Line2D([], [], linestyle="", marker="|", color="#555555", markersize=11, markeredgewidth=2.2)
-        entries["identified here"] = tick
+        entries["identified here"] = Line2D([], [], color="#555555", **STAR)
     banded = sum(curve.band is not None for curve in curves)
     words = "median, 5 to 95 % of drawn actuators"
     grey: dict[str, Any] = {"color": "#555555"}

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 from markupsafe import Markup
 
 from hammerstein.escaping import Markdown, templates_of
+from hammerstein.reporting.figures.style import joined
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 LARGEST_LINK_BYTES = 200_000
 """A larger file is linked where it lies beside the page, not carried along."""
+MOST_BESIDE = 4
+"""Columns that fit beside each other on a telephone."""
 FOLDED = "details"
 """Column whose cells open at a click."""
 LONGEST_NUMBER = 36
@@ -87,6 +90,8 @@ def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[M
     reader = _reader()
     tokens = reader.parse(text)
     headings = _anchored(tokens)
+    for child in (child for token in tokens for child in token.children or () if child.type == "text"):
+        child.content = joined(child.content.replace(" / ", "\xa0/ "))  # no line ends before the stroke
     _tabulated(tokens)
     _framed(tokens, drawn or {})
     return Markup(reader.renderer.render(tokens, reader.options, {})), headings
@@ -132,8 +137,6 @@ def _tabulated(tokens: Sequence[Token]) -> None:
         cells = [(cell, text) for cell, text in pairwise(inside) if cell.type == "td_open"]
         for number, (cell, text) in enumerate(cells):
             cell.attrSet("data-name", heads[number % len(heads)])
-            for child in text.children or ():  # a line may end after the stroke of "rms / worst"
-                child.content = child.content.replace(" / ", "\xa0/ ")
             if heads[number % len(heads)] == FOLDED and text.content:
                 text.children = [
                     _html("<details><summary>show</summary>"),
@@ -145,9 +148,10 @@ def _tabulated(tokens: Sequence[Token]) -> None:
         elif max((len(text.content) for _, text in cells), default=0) > LONGEST_NUMBER:
             kind = "sortable words"
         else:
-            kind = "sortable numbers"
-        scroll = Markup('<div class="scroll" tabindex="0" role="region" aria-label="{}"><table class="{}">')
-        _replaced(token, scroll.format(title, kind))
+            kind = "sortable numbers" + " wide" * (len(heads) > MOST_BESIDE)
+        scroll = Markup('<div class="scroll" tabindex="0" role="region" aria-label="{}">').format(title)
+        table = Markup('<table class="{}" style="--numbers:{}">').format(kind, len(heads) - 1)
+        _replaced(token, scroll + table)
         _replaced(close, Markup("</table></div>\n"))
 
 
