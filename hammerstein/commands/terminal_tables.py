@@ -26,16 +26,8 @@ if TYPE_CHECKING:
 
 PLANNED = ("scenario", "part", "", "memory", "time on one processor")
 COMPARED = (
-    "",
-    "model",
-    "free\nnumbers",
-    "fitted",
-    "held",
-    "as\ngood",
-    "in-\nverse",
-    "left",
-    "fit\ns",
-    "step\nns",
+    *("", "model", "param-\neters", "fitted", "valid-\nation", "as\ngood", "in-\nverse"),
+    *("compens.\nerror", "fit\ns", "step\nns"),
 )
 RECOMMENDED = "*"
 _LEFT = 3  # the first columns hold words

@@ -83,11 +83,11 @@ class Invertibility:
             f"{self._name(k)} with {n} moving operators (thresholds up to {r:.4g} V){self._between(k)}"
             for k, (n, r) in enumerate(zip(self.engaged, self.thresholds_v, strict=True))
         )
-        first = f"at {places}" if places else "this"
+        first = f"first at {places}" if places else "for example"
         slopes = np.array2string(self.slopes_um_per_v, precision=4, separator=", ").replace("\n", "")
         return (
             f"The model has no inverse: of its {total} slope matrices, {other} have a determinant of "
-            f"the other sign and {self.singular} are singular, first {first}: {slopes} um/V."
+            f"the other sign and {self.singular} are singular, {first}: {slopes} um/V."
         )
 
 

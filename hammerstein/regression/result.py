@@ -77,18 +77,21 @@ class ScenarioCheck:
 
     def lines(self, baseline_folder: Path) -> list[str]:
         """Headline, table of differences, and remedy."""
+        rows, below = self.details(baseline_folder)
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        table = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        return [self.headline, *(f"  {line}" for line in table), *below]
+
+    def details(self, baseline_folder: Path) -> tuple[list[list[str]], list[str]]:
+        """Rows of the table of differences, its head first, and the lines below it."""
         if self.error is not None:
-            return [self.headline, *(f"  {line}" for line in str(self.error).splitlines())]
+            return [], [f"  {line}" for line in str(self.error).splitlines()]
         if not self.findings:
-            return [self.headline, *self._notes()]
+            return [], self._notes()
         if any(finding.kind is Kind.ORPHAN for finding in self.findings):
-            return [self.headline, f"  delete {self.path}, or restore its scenario"]
-        return [
-            self.headline,
-            *_table(self.findings),
-            *self._notes(),
-            self._remedy(baseline_folder),
-        ]
+            return [], [f"  delete {self.path}, or restore its scenario"]
+        rows, more = _table(self.findings)
+        return rows, [*more, *self._notes(), self._remedy(baseline_folder)]
 
     def _notes(self) -> list[str]:
         if not self.new_columns:
@@ -148,11 +151,14 @@ class CheckResult:
         for check in sorted(self.checks, key=lambda check: check.passed):
             shown = [figures[check.name]] if figures.get(check.name) else []
             if not check.passed:
-                body = check.lines(self.baseline_folder)
-                ticks = (len(run) for line in body for run in re.findall("`+", line))
+                rows, below = check.details(self.baseline_folder)
+                ticks = (len(run) for line in below for run in re.findall("`+", line))
                 fence = Markdown("`" * (1 + max([2, *ticks])))
-                text = [Markdown(clean(line)) for line in body]
+                text = [Markdown(clean(line.strip())) for line in below]
                 shown.insert(0, Markdown("\n").join([fence + Markdown("text"), *text, fence]))
+                table = [Markdown("| {} |").format(Markdown(" | ").join(row)) for row in rows]
+                rule = Markdown("|" + " --- |" * len(rows[0])) if rows else Markdown()
+                shown.insert(0, Markdown("\n").join([*table[:1], rule, *table[1:]]))
             if shown:
                 parts += [Markdown("## {}").format(check.name), *shown]
         return Markdown("\n\n").join(parts)
@@ -201,19 +207,13 @@ def _counts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
             yield f"{_count(count, what)} {'is' if count == 1 else 'are'} {state}"
 
 
-def _table(findings: Sequence[Finding]) -> list[str]:
-    """Lines of a table, the worst first."""
+def _table(findings: Sequence[Finding]) -> tuple[list[list[str]], list[str]]:
+    """Rows of a table, its head first, then the worst findings; and how many are left out."""
     inside = sorted((f for f in findings if f.key), key=lambda finding: -finding.excess)
-    if not inside:
-        return []
     rows = [_cells(finding) for finding in inside[:SHOWN]]
     columns = [column for column in _COLUMNS if any(row.get(column) for row in rows)]
-    widths = {c: max(len(c), *(len(row.get(c, "")) for row in rows)) for c in columns}
-    lines = ["  " + "  ".join(c.ljust(widths[c]) for c in columns).rstrip()]
-    lines += ["  " + "  ".join(row.get(c, "").ljust(widths[c]) for c in columns).rstrip() for row in rows]
-    if len(inside) > SHOWN:
-        lines.append(f"  and {len(inside) - SHOWN} more; the worst are listed")
-    return lines
+    more = [f"  and {len(inside) - SHOWN} more; the worst are listed"] * (len(inside) > SHOWN)
+    return [columns] * bool(rows) + [[row.get(c, "") for c in columns] for row in rows], more
 
 
 def _cells(finding: Finding) -> dict[str, str]:

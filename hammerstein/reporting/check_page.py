@@ -40,7 +40,7 @@ def check_page(result: CheckResult) -> str:
     return Page(
         heading=Markdown(TITLE),
         what=f"Check against {result.baseline_folder}",
-        title=f"{failed} of {len(result.checks)} scenarios differ from their baseline",
+        title=f"Scenarios that differ from their baseline: {failed} of {len(result.checks)}",
         answer=Markdown(),
         body=result.body({name: Markdown("\n\n").join(figures) for name, figures in shown.items()}),
     ).html(drawn)

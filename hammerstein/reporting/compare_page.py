@@ -17,9 +17,10 @@ COMPARISON = Owner("comparison")
 ALWAYS = ("compare.html", "compare.json", "compare.md")
 
 CAPTION = (
-    "One line for each model, with its number of parameters in brackets. Left: errors on the records "
-    "that judge the model (filled) and on the fitted records (hollow), one symbol for each "
-    "frequency. Right: error of its compensator on the best model of another kind."
+    "One line for each model, with its number of parameters in brackets. (a): errors on the validation "
+    "records (filled) and on the fitted ones (hollow; filled if there are no others), one symbol for each "
+    "frequency. (b): error of its compensator; the model with the lowest cross-validation error replaces "
+    "the actuator."
 )
 
 

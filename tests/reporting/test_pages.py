@@ -247,6 +247,11 @@ def test_numbers_that_nothing_was_swept_for_are_dots_beside_each_other() -> None
     places = [float(line.get_xdata()[0]) for line in left.lines if line.get_marker() == "o"]
     assert places == [1.0, 2.0]
     assert not left.get_xticks().size
+    by_colour = {
+        line.get_color() for line in left.lines if line.get_linewidth() == 4.0 and len(line.get_xdata())
+    }
+    assert len(by_colour) == 2  # a baseline has the colour of its curve, or crossing ones were mixed up
+    assert "0.1 or less at the bottom" in right.get_title("right")
 
 
 def test_a_check_without_a_common_row_has_a_page() -> None:

@@ -88,4 +88,6 @@ def _draw_left(axes: Axes, left: Sequence[Left]) -> None:
             axes.plot(max(one.percent, LEAST), place, "o", color=DARK, markersize=5.0, zorder=3)
             continue
         why = one.reason if len(one.reason) <= REASON_LETTERS else "no compensator"
-        axes.text(0.03, place, plain(why), transform=axes.get_yaxis_transform(), va="center", color="#666666")
+        white = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+        across = axes.get_yaxis_transform()
+        axes.text(0.03, place, plain(why), transform=across, va="center", color="#666666", bbox=white)

@@ -136,7 +136,7 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
             if not shown[0].x_label:
                 axes.set(xticks=[], xlim=(0.5, len(shown) + 0.5))
         letter(left, 0)
-        letter(right, 1, "grey band: tolerance")
+        letter(right, 1, "grey: tolerance" + f"; {LEAST_SHARE:g} or less at the bottom" * far)
         legend_above(figure, entries)
     return figure
 
@@ -147,14 +147,14 @@ def _draw(left: Axes, right: Axes, course: SweptNumber, number: int, least: floa
     least : share of what is allowed that stands for less
     """
     style = line_style(number) | {"markersize": 3.0, "linewidth": 1.0}
-    before: dict[str, Any] = {"color": PALE, "linewidth": 4.0, "alpha": 0.6}
+    before: dict[str, Any] = {"color": style["color"], "linewidth": 4.0, "alpha": 0.3}
     x = course.x
     if not course.x_label:
         x, style["marker"] = x + number, style.get("marker") or "o"
         before |= {"marker": "s", "markersize": 10.0}
     left.plot(x, course.accepted, **before)
     low, high = course.accepted - course.allowed, course.accepted + course.allowed
-    left.fill_between(x, low, high, color=PALE, alpha=0.4, linewidth=0.0)
+    left.fill_between(x, low, high, color=style["color"], alpha=0.2, linewidth=0.0)
     share = np.abs(course.moved) / np.maximum(course.allowed, LEAST_ALLOWED)
     right.plot(x, np.maximum(share, least), **style)
     (line,) = left.plot(x, course.now, **style)
