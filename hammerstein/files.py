@@ -10,7 +10,9 @@ import os
 import re
 import stat
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +44,11 @@ def refuse_size(path: Path, what: str, limit: int) -> None:
 
 
 def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
-    """Text of a file; InputError if it is missing, empty, larger than ``limit`` bytes or no UTF-8 text."""
+    """Text of a file.
+
+    Raises InputError if it is missing, empty, larger than ``limit`` bytes, no UTF-8 text, or JSON with a
+    key that is there twice.
+    """
     refuse_size(path, what, limit)
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -57,7 +63,17 @@ def read_limited(path: Path, what: str, limit: int = LARGEST_TEXT_BYTES) -> str:
             str(path),
             f"has more than {DEEPEST} nested brackets; a {what} was expected, is it the right file?",
         )
+    if text.lstrip().startswith("{"):
+        with contextlib.suppress(ValueError):  # no JSON: who reads it says that
+            json.loads(text, object_pairs_hook=partial(_refuse_repeated, path))
     return text
+
+
+def _refuse_repeated(path: Path, pairs: list[tuple[str, Any]]) -> None:
+    """Refuse an object of JSON with a key twice, of which readers would take the last; InputError."""
+    twice = [name for name, count in Counter(name for name, _ in pairs).items() if count > 1]
+    if twice:
+        raise InputError(str(path), f"contains the key {twice[0]!r} twice in one object; delete one of them")
 
 
 def _depth(text: str) -> int:

@@ -65,11 +65,7 @@ class DriveRange:
 
     @classmethod
     def of(
-        cls,
-        given: RangeLike,
-        model: Recorded,
-        start_v: ArrayLike | None = None,
-        conditioned: bool = False,
+        cls, given: RangeLike, model: Recorded, start_v: ArrayLike | None = None, conditioned: bool = False
     ) -> DriveRange:
         """Range for a model from N (for -N to N), (low, high), or one such an input [V].
 

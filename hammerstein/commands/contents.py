@@ -20,13 +20,10 @@ from hammerstein.validation import mistakes_in
 Facts = tuple[tuple[str, str], ...]
 Named = dict[str, Any]
 T = TypeVar("T", bound=BaseModel)
-MOST_COLUMNS = 40
-"""Of a table, whose ranges are shown: a screen of them."""
+MOST_COLUMNS = 40  # of a table, whose ranges are shown: a screen of them
 PAGES = (".html", ".htm", ".md")
-MOST_STATEMENTS = 5
-"""Of a report; its page has all of them."""
-OWN_TABLES = {"drive_": "drive file", "played_": "file of played voltages"}
-"""How a column of each begins."""
+MOST_STATEMENTS = 5  # of a report; its page has all of them
+OWN_TABLES = {"drive_": "drive file", "played_": "file of played voltages"}  # how a column of each begins
 
 
 @dataclass(frozen=True)
@@ -50,17 +47,22 @@ class _Baseline(BaseModel):
     rows: tuple[Named, ...]
 
 
-class _Fit(BaseModel):
-    model: str
-    verdict: str
-    records: tuple[str, ...]
-    held_records: tuple[str, ...]
-
-
-class _Comparison(BaseModel):
-    models: tuple[Named, ...]
+class _Records(BaseModel):
     records: tuple[str, ...]
     held_records: tuple[str, ...] = ()
+
+    def told(self) -> Iterator[tuple[str, str]]:
+        yield "records", ", ".join(self.records)
+        yield "validation records", ", ".join(self.held_records) or "none"
+
+
+class _Fit(_Records):
+    model: str
+    verdict: str
+
+
+class _Comparison(_Records):
+    models: tuple[Named, ...]
     sentences: tuple[str, ...] = ()
 
 
@@ -184,14 +186,12 @@ def _report(found: _Report) -> Iterator[tuple[str, str]]:
 def _fit(found: _Fit) -> Iterator[tuple[str, str]]:
     yield "model", found.model
     yield "verdict", found.verdict
-    yield "records", ", ".join(found.records)
-    yield "validation records", ", ".join(found.held_records) or "none"
+    yield from found.told()
 
 
 def _comparison(found: _Comparison) -> Iterator[tuple[str, str]]:
     yield "models", ", ".join(str(one.get("name")) for one in found.models)
-    yield "records", ", ".join(found.records)
-    yield "validation records", ", ".join(found.held_records) or "none"
+    yield from found.told()
     yield "recommended", " ".join(found.sentences)
 
 

@@ -29,8 +29,7 @@ DRIVE = Owner("drive", single=True)
 ROUGH, AMPLIFIED = 1e-3, 10.0
 """Noise of a drive, relative to its span, and its ratio to the relative noise of the path, from which it is
 named: a path rounded to 1 nm became steps of 15 V for a stage of 200 Hz on a grid of 20 kHz."""
-FINEST = 1e-8
-"""Rounding of a path, relative to its span, below which it is not what makes a drive rough."""
+FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not what makes a drive rough
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
@@ -85,11 +84,6 @@ class Compensation:
             f"{drive.max():.4g} V, predicted error up to {np.abs(error).max():.3g} um)"
         )
 
-    def unreached_samples(self) -> dict[str, int]:
-        """Samples at the range, by input."""
-        counts = self.shortfall.at_range.sum(axis=1)
-        return {name: int(n) for name, n in zip(self.model.inputs, counts, strict=True)}
-
     def summary(self) -> dict[str, Any]:
         """Return voltages, reach, predicted error and what was not reached, as plain JSON."""
         axes = {
@@ -117,7 +111,7 @@ class Compensation:
             "axes": axes,
             "inputs": inputs,
             "statements": self.statements(),
-            "unreached_samples": self.unreached_samples(),
+            "unreached_samples": dict(zip(inputs, self.shortfall.at_range.sum(axis=1).tolist(), strict=True)),
         }
 
     def essentials(self) -> list[str]:
@@ -128,11 +122,9 @@ class Compensation:
 
     def statements(self) -> list[str]:
         """Say all that is known of the voltages."""
-        said = [
-            f"Model {self.source} ({self.model.origin}): {self.model.recorded.statement(self.model.inputs)}."
-        ]
-        said += verdict_statements(self.model)
-        said += [self._start(), f"Range {self.law.range.words(self.model.inputs)}."]
+        inputs, recorded = self.model.inputs, self.model.recorded
+        said = [f"Model {self.source} ({self.model.origin}): {recorded.statement(inputs)}."]
+        said += [*verdict_statements(self.model), self._start(), f"Range {self.law.range.words(inputs)}."]
         said.append(self.prediction.statement(self.model.outputs))
         if self.attempt.lead:
             seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])

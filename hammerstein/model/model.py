@@ -20,11 +20,7 @@ from hammerstein.blocks.axis_names import unique, word
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.law import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
-from hammerstein.dynamics import (
-    Dynamics,
-    StaticDynamics,
-    WithLoop,
-)
+from hammerstein.dynamics import Dynamics, StaticDynamics, WithLoop
 from hammerstein.dynamics.feedback_hysteresis import MatrixForm
 from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.files import digest_of, is_there, read_limited, write_atomic

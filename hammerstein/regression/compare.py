@@ -125,7 +125,7 @@ class SavedBaseline(NamedTuple):
 
 def _is_own(path: Path) -> bool:
     """Whether a file is a baseline as it was written; InputError where it is none."""
-    text = read_limited(path, what="baseline") if path.stat().st_size else ""
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
     if not text.strip(NOTHING):
         return True
     if FORMAT.partition("/")[0] not in text:

@@ -87,6 +87,7 @@ OF_COMPENSATORS = ("trial",)
 """Those of them that are options of compensators, not keys of a signal."""
 DEEPEST = 32
 """Lists and tables within each other; a scenario has no more than 6."""
+OWN_JSON = re.compile(r'"format":\s*"hammerstein-([a-z-]+)/')
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){32}""")
 """A dotted key of more parts than that, quoted or not."""
 WORDS = frozenset({"question", "tolerances", "assessment", "study"})
@@ -366,6 +367,10 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
         return _shallow(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         what = f"is not TOML: {error}; a line is a [table], or key = value with text in quotes"
+        if text.lstrip().startswith("{"):
+            kind = OWN_JSON.search(text)
+            own = f"the file of a {kind[1]}; hammerstein show describes it" if kind else "JSON"
+            what = f"is {own}; a scenario (.toml) was expected"
     except RecursionError:
         what = "has too deeply nested lists or tables; is it the right file?"
     except ValueError as error:  # a whole number of thousands of digits

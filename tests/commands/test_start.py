@@ -238,6 +238,7 @@ def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str
         ("no.npz", "no archive", "cannot be read as a .npz file (it contains other things than numbers)"),
         ("digits.json", "9" * 5000, "is not JSON: Exceeds the limit (4300 digits)"),
         ("other.json", "{}", "is no model"),
+        ("twice.json", '{"a": [{"b": 1, "b": 2}]}', "contains the key 'b' twice in one object; delete one"),
         ("none.csv", None, "does not exist"),
         ("none.npz", None, "does not exist"),
         ("report.html", "<p>1 2 3", "is a page for reading"),

@@ -166,6 +166,19 @@ def test_computed_gains_keep_the_sensitivity(derivative):
     assert 1.4 < peak < 1.6 * 1.01
 
 
+@pytest.mark.parametrize("damping", [0.12, 1e-3, 1e-6])
+def test_the_loop_gain_is_1_at_the_frequency_that_is_stated(damping):
+    """Loop gain from python-control alone; loops of hardly damped stages were said to cross at 0 Hz."""
+    model = _model(damping=damping, resonances=(280.0,), linear=True)
+    gains = FeedbackController(model, 10.0, T, 2000.0).gains
+    w, lag = 2.0 * np.pi * 280.0, 2.0 * np.pi * 2000.0
+    s = control.tf("s")
+    plant = control.c2d(w**2 / (s**2 + 2.0 * damping * w * s + w**2) * lag / (s + lag), T, "zoh")
+    z = np.exp(2j * np.pi * gains.crossover_hz[0] * T)
+    controller = gains.integral_per_s[0] * T / (1.0 - 1.0 / z) + gains.proportional[0]
+    assert abs(controller * plant(z) / z) == pytest.approx(1.0, rel=1e-4)
+
+
 def test_derivative_action_follows_faster(model):
     plain, damped = (FeedbackController(model, 10.0, T, 2000.0, derivative=d).gains for d in (False, True))
     assert (damped.integral_per_s > 5.0 * plain.integral_per_s).all()

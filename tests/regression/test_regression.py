@@ -345,6 +345,7 @@ def test_a_scenario_that_cannot_run_does_not_hide_the_others(accepted: Path) -> 
         ("", "is empty"),
         ("{", "is not JSON"),
         ("{}", "is missing"),
+        ('{"format": "hammerstein-baseline/1", "rows": [], "rows": []}', "contains the key 'rows' twice"),
         ('{"format": "hammerstein-baseline/9"}', "hammerstein-baseline/1"),
         (
             '{"format": "hammerstein-baseline/1", "scenario_digest": "a", "model_digest": "b", "rows": []}',

@@ -130,6 +130,28 @@ def test_other_misspelt_models_stand_there_too(tmp_path, place):
     assert "did you mean duo_bimorph?" in mistakes[where]
 
 
+def test_a_model_file_with_a_key_twice_is_refused(tmp_path):
+    """The last of them was taken, whatever a person had edited."""
+    file = tmp_path / "twice.json"
+    text = HammersteinModel.load("duo_bimorph").to_json()
+    file.write_text(text.replace('"damping_ratio": 0.12,', '"damping_ratio": 0.12, "damping_ratio": 0.1,', 1))
+    with pytest.raises(
+        InputError, match=r"twice\.json: contains the key 'damping_ratio' twice in one object"
+    ):
+        HammersteinModel.load(file)
+
+
+def test_json_in_place_of_a_scenario_is_named_for_what_it_is(tmp_path):
+    """The message was one on the grammar of TOML."""
+    file = tmp_path / "model.json"
+    HammersteinModel.load("duo_bimorph").save(file)
+    with pytest.raises(InputError, match=r"is the file of a model; .* a scenario \(\.toml\) was expected"):
+        load_scenario(file)
+    file.write_text('{"gain": 3}')
+    with pytest.raises(InputError, match=r"is JSON; a scenario \(\.toml\) was expected"):
+        load_scenario(file)
+
+
 def test_a_model_file_names_the_pair(tmp_path):
     model = json.loads(HammersteinModel.load("duo_bimorph").to_json())
     model["hysteresis"]["pairs"][0][1]["weights_um_per_v"][2] = 1e300

@@ -189,11 +189,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
     """
 
     def __init__(
-        self,
-        model: HammersteinModel,
-        range_v: RangeLike,
-        softening_v: float = 0.0,
-        run_anyway: bool = False,
+        self, model: HammersteinModel, range_v: RangeLike, softening_v: float = 0.0, run_anyway: bool = False
     ):
         self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
         hysteresis = model.hysteresis.counted_from(self.range.working_point_v)

@@ -139,10 +139,19 @@ class FeedbackLoop(ByValue):
         return float(self.frequency_hz[int(np.argmax(np.abs(self.alone(o)).max(axis=0)))])
 
     def crossover_hz(self, o: int, gains: Gains) -> float:
-        """Frequency where the gain of a loop falls to 1 for good; 0 where it never reaches it."""
-        controller = self._controller(gains, self.frequency_hz)[:, o]
-        above = np.flatnonzero(np.abs(self.alone(o) * controller).max(axis=0) >= 1.0)
-        return float(self.frequency_hz[above[-1]]) if len(above) else 0.0
+        """Frequency where the gain of a loop falls to 1 for good; 0 if it never reaches 1.
+
+        Between two frequencies of the grid the gain is a power of them. Below all of them the plant responds
+        as at the first, to the controller ``kp + ki T / 2 - i ki / w``.
+        """
+        frequency, plant = self.frequency_hz, np.abs(self.alone(o)).max(axis=0)
+        gain = plant * np.abs(self._controller(gains, frequency)[:, o])
+        last = int(np.flatnonzero(gain >= 1.0).max(initial=-1))
+        if last < 0:
+            in_phase = gains.proportional[o] + 0.5 * self.sample_time_s * gains.integral_per_s[o]
+            return float(gains.integral_per_s[o] / (2.0 * np.pi * np.sqrt(plant[0] ** -2.0 - in_phase**2)))
+        pair = slice(last, last + 2)
+        return float(np.exp(np.interp(0.0, -np.log(gain[pair]), np.log(frequency[pair]))))
 
     def poles(self, gains: Gains, slope: Array) -> Complex:
         """Poles of the closed loop for one slope matrix (p, p).

@@ -90,11 +90,8 @@ class FeedbackController(Controller[ControllerState]):
     ):
         hysteresis = model.hysteresis
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.range, self.sample_time_s, self.feedforward = (
-            DriveRange.of(range_v, model),
-            sample_time_s,
-            feedforward,
-        )
+        self.range, self.sample_time_s = DriveRange.of(range_v, model), sample_time_s
+        self.feedforward = feedforward
         self.gain_um_per_v = hysteresis.gain(model.amplitude_v)
         self.inverse_gain_v_per_um = np.ascontiguousarray(np.linalg.pinv(self.gain_um_per_v))
         self.gains = gains or _computed(model, sample_time_s, sensor_bandwidth_hz, derivative)

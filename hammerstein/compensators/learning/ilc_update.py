@@ -66,12 +66,11 @@ class ModelUncertainty:
     @staticmethod
     def _gains(dynamics: AxesDynamics, frequency_hz: Array, sample_time_s: float, factor: float) -> Complex:
         """Response (frequency, output) of every axis with its resonance multiplied by a factor."""
-        axes = tuple(
-            axis.model_copy(update={"resonance_hz": factor * axis.resonance_hz})
-            if axis.resonance_hz
-            else axis
+        moved = (
+            {"resonance_hz": factor * axis.resonance_hz} if axis.resonance_hz else {}
             for axis in dynamics.axes
         )
+        axes = tuple(axis.model_copy(update=own) for axis, own in zip(dynamics.axes, moved, strict=True))
         return _diagonal(discretise(dynamics.model_copy(update={"axes": axes}), sample_time_s), frequency_hz)
 
     @staticmethod
@@ -85,11 +84,12 @@ def _diagonal(block: LinearBlock, frequency_hz: Array) -> Complex:
     return np.asarray(np.diagonal(block.response(frequency_hz), axis1=1, axis2=2))
 
 
-SIGNIFICANT = 3.0  # standard deviations of white noise: what an error must exceed to be learnt
-LEAST_PERIODS = 3
-"""Scatter between periods is known from two differences on."""
-MEASURED = "measured"
-"""What the readings of a trial are called in messages, as long as they are no file."""
+SIGNIFICANT = 3.0  # standard deviations of normal noise: what an error must exceed to be learnt
+RANDOM = 0.01  # how often white noise is taken for drift, per output: at any of the lines above 0 Hz
+RANDOM_OFFSET = 0.2  # the same at 0 Hz, where sensors drift: a mistake delays this line by one trial
+SETTLING = 0.25  # of the length of a reading: time since the sensor read zero, in which it drifts too
+LEAST_PERIODS = 3  # scatter between periods is known from two differences on
+MEASURED = "measured"  # what the readings of a trial are called in messages, as long as they are no file
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class IlcUpdate:
     error_um : (p, N) mean error of the trial, corrected for the sensor's lag
     noise_um : rms of what does not repeat from period to period, in the mean of the readings
     lifted : factor by which the correction for the sensor's lag amplifies this noise
-    doubt_um : standard deviation of ``error_rms_um`` due to the same noise
+    doubt_um2 : what the mean square error exceeds by this noise as seldom as normal noise three deviations
     learnt : corrected lines of the spectrum; slowest : largest part of an error that a trial leaves
     limit_hz : frequency from which the model is too uncertain to learn; inf if there is none
     before : result of the trial before, if given
@@ -110,16 +110,21 @@ class IlcUpdate:
     error_um: Array
     noise_um: float
     lifted: float
-    doubt_um: float
+    doubt_um2: float
     learnt: int
     slowest: float
     limit_hz: float
     before: IlcUpdate | None = None
 
     @property
+    def square_um2(self) -> float:
+        """Mean square of the mean error, less that of its noise: negative by chance if no error is left."""
+        return rms(self.error_um) ** 2 - (self.lifted * self.noise_um) ** 2
+
+    @property
     def error_rms_um(self) -> float:
         """Rms of the mean error, with the noise in it taken off."""
-        return float(np.sqrt(max(rms(self.error_um) ** 2 - (self.lifted * self.noise_um) ** 2, 0.0)))
+        return float(np.sqrt(max(self.square_um2, 0.0)))
 
     @property
     def finished(self) -> bool:
@@ -137,8 +142,7 @@ class IlcUpdate:
 
     def worse_than(self, before: IlcUpdate) -> bool:
         """Whether this trial is farther off than one before, by more than the noise of both."""
-        doubt = SIGNIFICANT * float(np.hypot(self.doubt_um, before.doubt_um))
-        return self.error_rms_um > before.error_rms_um + doubt
+        return self.square_um2 > before.square_um2 + float(np.hypot(self.doubt_um2, before.doubt_um2))
 
     def statement(self) -> str:
         """Error of the trial, and whether to continue."""
@@ -192,16 +196,15 @@ def ilc_update(
     InputError : no whole number of periods, or fewer than three
     """
     samples, time_s = reference_um.shape[1], model.instruments.drive.sample_time_s
-    mean, deviation = _mean_period(measured_um, samples)
+    mean, deviation, freedom = _mean_period(measured_um, samples)
     frequency: Array = np.asarray(np.fft.rfftfreq(samples, time_s), dtype=np.float64)
     lag = 1.0 / (1.0 + 1j * frequency / sensor_bandwidth_hz)
-    error = np.fft.rfft(reference_um, axis=1) - np.fft.rfft(mean, axis=1) / lag
+    error = np.fft.rfft(reference_um, axis=1) - mean / lag
     noise = deviation / np.abs(lag)
     delta = (uncertainty or ModelUncertainty()).relative(model, frequency, time_s).T
     share = ModelUncertainty.share(delta)
-    above_noise = (np.abs(error) > _least_error(deviation, measured_um.shape[1] // samples) / np.abs(lag)) & (
-        share > 0.0
-    )
+    least = _least_error(deviation, freedom) / np.abs(lag)
+    above_noise = (np.abs(error) > least) & (share > 0.0)
     drive = drive_v
     if above_noise.any():
         now, _ = played(model, law.range, drive_v, time_s)
@@ -215,22 +218,24 @@ def ilc_update(
         np.fft.irfft(error, samples, axis=1),
         read,
         _rms_of(noise, samples) / read if read else 1.0,
-        _doubt(error, noise, samples),
+        _doubt(error, noise, samples, freedom.max()),
         int(above_noise.sum()),
         slowest,
         float(unsure_at.min(initial=np.inf)),
     )
 
 
-def _least_error(deviation: Array, periods: int) -> Array:
-    """Size of a line that noise alone reaches as seldom as white noise reaches three deviations.
+def _least_error(deviation: Array, freedom: Array) -> Array:
+    """Size of a line that noise alone reaches as seldom as normal noise reaches three deviations.
 
     The deviation of a line is known from few periods, so its ratio to the mean follows an F distribution; no
     line is quieter than the white noise under the spectrum, estimated from the median of all.
     """
-    seldom, free = SIGNIFICANT**2, periods - 1
-    factor = np.sqrt(free * np.expm1(seldom / free))
-    white = np.sqrt(np.median(deviation**2, axis=1, keepdims=True) / (1.0 - 1.0 / (3.0 * free)))
+    from scipy.special import chdtrc, fdtri
+
+    parts = freedom / freedom[0]
+    factor = np.sqrt(fdtri(parts, freedom, 1.0 - chdtrc(parts, parts * SIGNIFICANT**2)))
+    white = np.sqrt(np.median(deviation**2, axis=1, keepdims=True) / (1.0 - 2.0 / (3.0 * freedom.max())))
     return np.asarray(np.maximum(factor * deviation, SIGNIFICANT * white))
 
 
@@ -239,31 +244,34 @@ def _rms_of(lines: Array, samples: int) -> float:
     return float(np.sqrt(np.sum(_counted(lines, samples) * np.abs(lines) ** 2) / (len(lines) * samples**2)))
 
 
-def _doubt(error: Complex, noise: Array, samples: int) -> float:
-    """Standard deviation of the rms of an error (p, line), whose lines have complex noise of that size.
+def _doubt(error: Complex, noise: Array, samples: int, freedom: float) -> float:
+    """Bound of the noise in the mean square of an error (p, line), see ``IlcUpdate.doubt_um2``.
 
-    The mean square of the error is a sum over lines of |E + n|^2, each of variance 2 |E|^2 s^2 + s^4.
+    The mean square is a sum over lines of |E + n|^2, each of variance 2 |E|^2 s^2 + s^4. Where one line has
+    nearly all of it, its deviation is known from as few periods as that of the line.
     """
+    from scipy.special import ndtr, stdtrit
+
     weight = _counted(error, samples) / (len(error) * samples**2)
     known = np.maximum(np.abs(error) ** 2 - noise**2, 0.0)
     variance = float(np.sum(weight**2 * (2.0 * known * noise**2 + noise**4)))
-    square = float(np.sum(weight * known))
-    return (
-        float(np.sqrt(variance) / (2.0 * np.sqrt(square))) if square > np.sqrt(variance) else variance**0.25
-    )
+    return float(stdtrit(freedom, ndtr(SIGNIFICANT))) * float(np.sqrt(variance))
 
 
 def _counted(lines: Array | Complex, samples: int) -> Array:
     """How often each line of a real spectrum counts in the energy: all but the first and the last twice."""
     count = np.full(lines.shape[1], 2.0)
-    count[0] = 1.0
-    if samples % 2 == 0:
-        count[-1] = 1.0
+    count[[0, -1] if samples % 2 == 0 else 0] = 1.0
     return count
 
 
-def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:
-    """Mean period (p, N), and the standard deviations (p, line) of the lines of its spectrum."""
+def _mean_period(measured_um: Array, samples: int) -> tuple[Complex, Array, Array]:
+    """Lines (p, line) of the mean period, their standard deviations, and degrees of freedom (line,) of these.
+
+    Periods of white noise do not depend on each other. If s^2 is the variance of the steps of a random walk
+    from period to period, n periods scatter by n s^2 / 6, their mean has the variance n s^2 / 3, and the
+    start of the first that of all steps since the sensor read zero.
+    """
     periods = measured_um.shape[1] // samples
     if measured_um.shape[1] % samples or periods < LEAST_PERIODS:
         raise InputError(
@@ -271,11 +279,35 @@ def _mean_period(measured_um: Array, samples: int) -> tuple[Array, Array]:
             f"has {measured_um.shape[1]} samples; give whole periods of {samples} samples, "
             f"{LEAST_PERIODS} or more, recorded after the path has settled",
         )
-    each = measured_um.reshape(len(measured_um), periods, samples)
-    mean = each.mean(axis=1)
-    lines = np.fft.rfft(each - mean[:, None], axis=2)
-    variance = (np.abs(lines) ** 2).sum(axis=1) / (periods - 1)
-    return mean, np.asarray(np.sqrt(variance / periods))
+    lines = np.fft.rfft(measured_um.reshape(len(measured_um), periods, samples), axis=2)
+    parts = _counted(lines[0], samples)  # one number or two
+    scatter = lines.var(axis=1, ddof=1)
+    drift = 6.0 * (SETTLING + 1.0 / 3.0)
+    variance = scatter * np.where(_drifts(lines, scatter, parts), drift, 1.0 / periods)
+    return lines.mean(axis=1), np.sqrt(variance), parts * (periods - 1.0)
+
+
+def _drifts(lines: Complex, scatter: Array, parts: Array) -> Array:
+    """Which lines (p, line) of the spectra (p, period, line) change more slowly than white noise would.
+
+    Half the mean square of successive differences, over the variance, is 1 for white noise and 2 / n for n
+    periods of a random walk. For white noise, a beta distribution with its ends and variance is close.
+
+    Source: J. von Neumann, Distribution of the ratio of the mean square successive difference to the
+    variance, Annals of Mathematical Statistics 12 (1941) 367-395.
+    """
+    from scipy.special import betainc
+
+    n = lines.shape[1]
+    half, freedom = np.cos(np.pi / n), parts * (n - 1)
+    shape = (half**2 * freedom * (freedom + 2.0) / (parts * (n - 2)) - 1.0) / 2.0
+    ratio = (np.abs(np.diff(lines, axis=1)) ** 2).mean(axis=1) / (
+        2.0 * np.maximum(scatter, np.finfo(float).tiny)
+    )
+    chance = np.full(len(parts), RANDOM / len(parts))
+    chance[0] = RANDOM_OFFSET
+    below = betainc(shape, shape, np.clip((ratio - 1.0 + half) / (2.0 * half), 0.0, 1.0))
+    return np.asarray((below < chance) & (scatter > 0.0))
 
 
 def learn_from_files(
@@ -318,8 +350,7 @@ def _taught(
     _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST, units=units)
     if resampled:
         raise InputError(
-            str(trial[1]),
-            f"is not sampled every {time_s:g} s like the drive; record it at this sample time",
+            str(trial[1]), f"is not sampled every {time_s:g} s like the drive; record it at this sample time"
         )
     bandwidth = design.model.instruments.sensor.bandwidth_hz
     with naming(str(trial[1]), instead_of=MEASURED):

@@ -80,9 +80,8 @@ class Learned(Compensator):
 
     def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> LearnedLaw:
         """Build the learner, see ``Compensator.design``."""
-        asked: dict[str, Any] = {"law": self.inverse}
-        if self.filter_hz is not None:
-            asked["filter_hz"] = self.filter_hz
+        filtered = {} if self.filter_hz is None else {"filter_hz": self.filter_hz}
+        asked: dict[str, Any] = {"law": self.inverse, **filtered}
         inverse = COMPENSATORS.value(asked).design(model, range_v, sample_time_s)
         assert isinstance(inverse, Law)  # each that may be named is one
         return LearnedLaw(model, inverse, ModelUncertainty(self.weights, self.resonance), self.trial)
