@@ -77,7 +77,7 @@ class C(Markup):
     def escape(cls, s: Any) -> Self:
         """A word or a number of C, or code as it is; TypeError for anything else."""
         if not isinstance(s, cls) and not _WORD_OF_C.fullmatch(str(s)):
-            raise TypeError(f"{str(s)[:100]!r} is no word of C; is it text for a comment?")
+            raise TypeError(f"{str(s)[:100]!r} is not a word of C; is it text for a comment?")
         return cls(s)
 
     @classmethod

@@ -106,7 +106,7 @@ def register(kind: K) -> K:
             family.register(kind)
             return kind
     bases = ", ".join(family.base.__name__ for family in _FAMILIES)
-    raise InputError(kind.__name__, f"is no kind that can be registered; derive it from one of {bases}")
+    raise InputError(kind.__name__, f"is not a kind that can be registered; derive it from one of {bases}")
 
 
 def looked_up(validate: Callable[[], V]) -> V:

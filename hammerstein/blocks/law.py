@@ -375,7 +375,7 @@ def stream(compensator: Law[Any], state: Any = None) -> Stream:
         what = type(compensator).__name__
         raise InputError(
             "stream",
-            f"{what} is no sensorless law; design one first, as in ExactInverse().design(model, "
+            f"{what} is not a sensorless law; design one first, as in ExactInverse().design(model, "
             "range_v, sample_time_s). For a controller that reads the sensor, call its methods "
             "request and correct",
         )

@@ -110,7 +110,7 @@ def _json(path: Path) -> Contents:
         return Contents("comparison", tuple(_comparison(_read(_Comparison, found, path))))
     if isinstance(found, dict) and "held_records" in found:
         return Contents("fit report", tuple(_fit(_read(_Fit, found, path))))
-    raise InputError(str(path), "is no model, report, fit report, comparison or baseline of hammerstein")
+    raise InputError(str(path), "is not a model, report, fit report, comparison or baseline of hammerstein")
 
 
 def _read(form: type[T], found: Any, path: Path) -> T:

@@ -166,4 +166,4 @@ def volts(option: str, words: str | None) -> tuple[float, ...] | None:
     try:
         return tuple(float(word) for word in words.split(","))
     except ValueError:
-        raise InputError(option, f"{words!r} is no list of numbers with commas between them") from None
+        raise InputError(option, f"{words!r} is not a list of numbers with commas between them") from None

@@ -221,7 +221,7 @@ class Comparison:
         left, own = chosen.left.percent, chosen.judged.mean_percent
         if left is not None and left > MUCH_LEFT * own:
             said.append(
-                f"Its compensator leaves an error of {left:.3g} % of the path on {chosen.left.on}, "
+                f"The error of its compensator on {chosen.left.on} is {left:.3g} % of the path, "
                 "much more than its prediction error: the model predicts well, but its inverse is "
                 "inaccurate."
             )

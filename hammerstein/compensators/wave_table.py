@@ -163,7 +163,7 @@ def _hold(cycle: Cycle, kind: Device, points: int | None) -> int:
     step = "" if kind.step_s is None else f", each a multiple of {1e6 * kind.step_s:g} us"
     raise InputError(
         "--table",
-        f"a period of {samples} samples of {time_s:g} s is no whole number of points, at most "
+        f"a period of {samples} samples of {time_s:g} s is not a whole number of points, at most "
         f"{most}{step}; choose a period of {most} points times a whole number of samples, or another "
         "frequency",
     )

@@ -412,7 +412,7 @@ def _gridded(block: B, delay_s: float, sample_time_s: float, sensor_bandwidth_hz
         if late_s:
             raise InputError(
                 "dynamics",
-                f"the input delay of {delay_s:g} s is no whole number of samples of {sample_time_s:g} "
+                f"the input delay of {delay_s:g} s is not a whole number of samples of {sample_time_s:g} "
                 "s, the sample time of this block; round it",
             )
         if sensor_bandwidth_hz is not None:

@@ -233,5 +233,5 @@ def _put(content: Any, key: str, value: float, name: str) -> None:
             raise KeyError(last)
         place[last] = value
     except (KeyError, IndexError, TypeError, AttributeError):
-        what = 'is no number of this scenario; write a key like "compensators[1].gain"'
+        what = 'is not a number of this scenario; write a key like "compensators[1].gain"'
         raise InputError(name, [Mistake(f"study.values: {key}", what)]) from None

@@ -121,7 +121,7 @@ class Code:
         if kind == "BinaryOp" and node.op in "+-*":
             left, right = self._value(node.left), self._value(node.right)
             return {"+": left + right, "-": left - right, "*": left * right}[node.op]
-        raise InternalError("exported code: a loop whose end is no constant")
+        raise InternalError("exported code: a loop whose end is not a constant")
 
     def _constants(self) -> Iterator[tuple[str, int]]:
         for found in self._tree.ext:

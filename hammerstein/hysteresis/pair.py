@@ -74,7 +74,7 @@ def _line(name: str, values: ArrayLike) -> Array:
         found = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(
-            "play", f"{name} contains a value that is no number; give a list of numbers"
+            "play", f"{name} contains a value that is not a number; give a list of numbers"
         ) from None
     if np.ndim(values) != 1:
         raise InputError(

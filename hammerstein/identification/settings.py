@@ -317,7 +317,7 @@ def settings_of(
         try:
             options["thresholds_v"] = [float(word) for word in thresholds.split(",")]
         except ValueError:
-            what = f"{thresholds!r} is no list of voltages with commas between them, such as 0,0.5,1.2"
+            what = f"{thresholds!r} is not a list of voltages with commas between them, such as 0,0.5,1.2"
             raise InputError("identification", [Mistake("thresholds", what)]) from None
     counts: dict[str, Any] = {}
     for name, word in (("operators", operators), ("creep_modes", creep_modes)):

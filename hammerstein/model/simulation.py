@@ -177,7 +177,7 @@ class Response(NotebookRepr):
             wire = getattr(self, name, None) if name in WIRES else None
             if wire is None:
                 known = ", ".join(w for w in WIRES if getattr(self, w) is not None)
-                raise InputError("wire", f"{name!r} is no signal of this run; it has {known}")
+                raise InputError("wire", f"{name!r} is not a signal of this run; it has {known}")
             found |= dict(zip(signals(name, len(wire)), wire, strict=True))
         return found
 
@@ -399,7 +399,7 @@ class Plant:
         if unknown or not outputs:
             leaving = ", ".join(wire for wire in WIRES if wire not in inside)
             raise InputError(
-                "outputs", f"{', '.join(unknown) or 'nothing'} is no output; give some of {leaving}"
+                "outputs", f"{', '.join(unknown) or 'nothing'} is not an output; give some of {leaving}"
             )
 
         def step(requested_v: Array, state: PlantState) -> tuple[Array, PlantState]:

@@ -183,7 +183,7 @@ def read_array(path: str | Path, variable: str | None = None) -> Array:
     path = Path(path)
     refuse_missing(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(str(path), f"is no file of arrays; give one of {', '.join(SUFFIXES)}")
+        raise InputError(str(path), f"is not a file of arrays; give one of {', '.join(SUFFIXES)}")
     return whole_array(path, variable or "")
 
 
@@ -196,7 +196,7 @@ def refuse_missing(path: Path) -> None:
         if not path.is_file():
             what = "does not exist; check its name and folder"
             if path.exists():
-                what = "is a folder; give a file" if path.is_dir() else "is no regular file; give one"
+                what = "is a folder; give a file" if path.is_dir() else "is not a regular file; give one"
             raise InputError(str(path), what)
         if path.stat().st_size == 0:
             raise InputError(str(path), "is empty (0 bytes); record it again")
@@ -268,7 +268,7 @@ def _parquet_names(path: Path) -> list[str]:
     try:
         return list(parquet.read_schema(path).names)
     except (OSError, arrow.ArrowException) as error:
-        raise InputError(str(path), f"is no Parquet file that can be read ({error})") from None
+        raise InputError(str(path), f"cannot be read as a Parquet file ({error})") from None
 
 
 def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
@@ -282,7 +282,7 @@ def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
             refuse_large((len(indices), file.metadata.num_rows))
             table = file.read(columns=[names[k] for k in indices])
     except (OSError, arrow.ArrowException) as error:
-        raise InputError(str(path), f"is no Parquet file that can be read ({error})") from None
+        raise InputError(str(path), f"cannot be read as a Parquet file ({error})") from None
     chosen = tuple(names[k] for k in indices)
     values = np.full((len(chosen), table.num_rows), np.nan)
     rows = np.arange(1, table.num_rows + 1)

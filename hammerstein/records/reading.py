@@ -193,8 +193,8 @@ def _factors_of(
             mistakes.append(
                 Mistake(
                     where(columns.names[k]),
-                    f"is in {unit.symbol}, which is no {kind}: are --inputs and --outputs swapped? If not, "
-                    f"give --{option}-scale, the factor from its numbers to {BASE[kind]}",
+                    f"is in {unit.symbol}, which is not a {kind}: are --inputs and --outputs swapped? "
+                    f"If not, give --{option}-scale, the factor from its numbers to {BASE[kind]}",
                 )
             )
     return mistakes, factors

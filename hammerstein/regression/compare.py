@@ -129,7 +129,7 @@ def _is_own(path: Path) -> bool:
     if not text.strip(NOTHING):
         return True
     if FORMAT.partition("/")[0] not in text:
-        what = f"{path} is no baseline and would be overwritten; move it away, or give --overwrite"
+        what = f"{path} is not a baseline and would be overwritten; move it away, or give --overwrite"
         raise InputError("--update-baseline", what)
     _, digest, rest = [*text.split("\n", 2), "", ""][:3]
     return digest == _digest_line(rest)
@@ -348,7 +348,7 @@ def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
         if metric not in names:
             near = difflib.get_close_matches(metric, names, n=1)
             hint = f"; did you mean {near[0]}?" if near else f"; numbers are {', '.join(names)}"
-            mistakes.append(Mistake(f"tolerances.{metric}", f"is no number of a report{hint}"))
+            mistakes.append(Mistake(f"tolerances.{metric}", f"is not a number of a report{hint}"))
     if mistakes:
         raise InputError(name, mistakes)
 

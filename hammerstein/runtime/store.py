@@ -184,7 +184,7 @@ def _limit_bytes() -> float:
     except ValueError:
         size = -1.0
     if not 0.0 <= size <= MOST_MB:
-        raise InputError(LIMIT, f"{text!r} is no number of megabytes from 0 to {MOST_MB:g}")
+        raise InputError(LIMIT, f"{text!r} is not a number of megabytes from 0 to {MOST_MB:g}")
     return size * MEGABYTE
 
 

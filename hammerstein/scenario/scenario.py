@@ -178,9 +178,9 @@ class Scenario(Strict):
             yield f'sweep.combine = "zip" needs equally many values of each key: {told}'
         for key in lengths:
             if key in OF_COMPENSATORS:
-                without = [c.label for c in self.compensators if key not in type(c).model_fields]
+                without = [repr(c.label) for c in self.compensators if key not in type(c).model_fields]
                 if without or not self.compensators:
-                    yield f"sweep.{key} is no option of {', '.join(map(repr, without)) or 'any compensator'}"
+                    yield f"sweep.{key} is not an option of {', '.join(without) or 'any compensator'}"
             elif signal is not None and key not in signal.model_dump():
                 yield f"sweep.{key} is not a key of the {signal.kind} in this scenario"
         yield from self._swept_twice()

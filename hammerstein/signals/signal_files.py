@@ -121,7 +121,7 @@ def chosen(path: str | Path, names: Sequence[str], axes: Sequence[str], kind: Ki
     for name in (names[i] for i in found):
         unit = _unit(name)
         if unit is not None and unit.kind != kind:
-            raise InputError(str(path), f"column {name} is in {unit.symbol}, which is no {kind}")
+            raise InputError(str(path), f"column {name} is in {unit.symbol}, which is not a {kind}")
     return found
 
 

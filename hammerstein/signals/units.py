@@ -98,7 +98,7 @@ def _match(name: str) -> re.Match[str] | None:
 def unit_in(name: str) -> Unit | None:
     """Unit in the name of a column: ``u [mV]``, ``x (nm)``, ``x / um``, ``time_ms``; None if it has none.
 
-    A lone ``m`` behind an underscore or a blank may mean "measured" and is no unit.
+    A lone ``m`` behind an underscore or a blank may mean "measured" and is not a unit.
 
     Examples
     --------

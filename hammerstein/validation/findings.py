@@ -253,7 +253,7 @@ def _unknown_name(finding: dict[str, Any]) -> str:
     table = finding["place"].path.rpartition(".")[0]
     near = suggestion(name, options)
     known = near or f"; known are {', '.join(options)}"
-    return f"is no name that {table} has entries for, as in [{table}.{options[0]}]{known}"
+    return f"is not a name that {table} has entries for, as in [{table}.{options[0]}]{known}"
 
 
 def _unknown_key(name: str, place: Place, schema: Schema) -> str:

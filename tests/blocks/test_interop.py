@@ -221,7 +221,7 @@ def test_a_static_law_runs_on_any_grid(build):
 def test_what_is_no_wire_of_the_plant_is_refused():
     model = HammersteinModel.load("duo_bimorph")
     with pytest.raises(
-        InputError, match="reference_um is no output; give some of drive_v, hysteresis_um, position_um"
+        InputError, match="reference_um is not an output; give some of drive_v, hysteresis_um, position_um"
     ):
         model.to_iosys(T, outputs=("reference_um",))
     with pytest.raises(InputError, match="must be above 0"):

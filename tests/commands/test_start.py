@@ -237,7 +237,7 @@ def test_show_counts_what_is_met(folder: Path, capsys: pytest.CaptureFixture[str
         ("no.json", "{", "is not JSON"),
         ("no.npz", "no archive", "cannot be read as a .npz file (it contains other things than numbers)"),
         ("digits.json", "9" * 5000, "is not JSON: Exceeds the limit (4300 digits)"),
-        ("other.json", "{}", "is no model"),
+        ("other.json", "{}", "is not a model"),
         ("twice.json", '{"a": [{"b": 1, "b": 2}]}', "contains the key 'b' twice in one object; delete one"),
         ("none.csv", None, "does not exist"),
         ("none.npz", None, "does not exist"),
@@ -269,7 +269,7 @@ def test_a_pipe_is_not_waited_for(folder: Path, capsys: pytest.CaptureFixture[st
         os.mkfifo("pipe.csv")
     columns = ["--inputs", "1", "--outputs", "2", "--rate", "9"] if command == "loops" else []
     assert call(command, "pipe.csv", *columns) == 2
-    assert "pipe.csv: is no regular file" in capsys.readouterr().err
+    assert "pipe.csv: is not a regular file" in capsys.readouterr().err
 
 
 def help_of(*command: str) -> Result:

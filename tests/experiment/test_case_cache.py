@@ -404,7 +404,7 @@ def test_a_check_reads_nothing_that_was_kept(place, tmp_path, monkeypatch):
     assert called(*check) == 0
 
 
-@pytest.mark.parametrize(("size", "code", "said"), [("0", 0, ""), ("all", 2, "'all' is no number of")])
+@pytest.mark.parametrize(("size", "code", "said"), [("0", 0, ""), ("all", 2, "'all' is not a number of")])
 def test_how_much_is_kept_can_be_said(place, tmp_path, monkeypatch, capsys, size, code, said):
     monkeypatch.setenv("HAMMERSTEIN_CACHE_MB", size)
     (tmp_path / "s.toml").write_text(FILE)

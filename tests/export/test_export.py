@@ -221,7 +221,7 @@ def test_operations_are_counted_as_they_are_written():
         ("while (x > 0.0) { x = x - 1.0; }", "While"),
         ("law_step(l, x);", "calls itself"),
         ("x = sin(x);", "sin is not in the file"),
-        ("for (int32_t i = 0; i < l->n; i++) { x = 1.0; }", "end is no constant"),
+        ("for (int32_t i = 0; i < l->n; i++) { x = 1.0; }", "end is not a constant"),
         ("for (int32_t i = 0; i < 3; i++) { i = 0; }", "no bound"),
     ],
 )

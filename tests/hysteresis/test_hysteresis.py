@@ -417,7 +417,7 @@ def test_a_state_refuses_plays_that_no_voltage_leads_to():
         (1.0, [1.0], None, r"u has shape \(\)"),
         (np.zeros(3), [[1.0]], None, r"r has shape \(1, 1\)"),
         (np.zeros(3), [1.0], [1.0, 2.0], "start has 2 outputs, r 1"),
-        (["a"], [1.0], None, "u contains a value that is no number"),
+        (["a"], [1.0], None, "u contains a value that is not a number"),
         ([0.0, np.nan], [1.0], None, "u is not finite at index 1"),
     ],
 )

@@ -119,7 +119,7 @@ def test_with_a_reference_that_is_the_input():
 
 
 def test_a_wire_that_a_run_does_not_have_is_refused(response):
-    with pytest.raises(InputError, match="'reference_um' is no signal of this run; it has requested_v"):
+    with pytest.raises(InputError, match="'reference_um' is not a signal of this run; it has requested_v"):
         response.to_time_response(inputs=("reference_um",))
 
 

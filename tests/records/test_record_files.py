@@ -415,7 +415,7 @@ class TestFiles:
         assert "holds string, not numbers" in message(read, path, outputs=["note"])
         assert "did you mean u_x?" in message(read, path, inputs=["u_y"])
         path.write_text("no parquet")
-        assert "is no Parquet file" in message(read, path)
+        assert "cannot be read as a Parquet file" in message(read, path)
 
     def test_parquet_without_pyarrow(self, tmp_path, monkeypatch):
         monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)

@@ -180,7 +180,7 @@ class TestSeveralExperiments:
             read_paired_records, *pair, axes=("sample",), rate_hz=200.0
         )
         assert "name sample" in message(read_paired_records, *pair, axes=("time",), rate_hz=200.0)
-        assert "is no file of arrays" in message(read_paired_records, __file__, pair[1], rate_hz=200.0)
+        assert "is not a file of arrays" in message(read_paired_records, __file__, pair[1], rate_hz=200.0)
 
 
 def test_a_cell_that_no_displacement_is_is_named_before_anything_is_summed():

@@ -81,8 +81,8 @@ def test_a_voltage_is_no_displacement(tmp_path):
     path = tmp_path / "loop.csv"
     path.write_text("t,u [V],x [um]\n" + table_text(np.column_stack([TIME, U, X])))
     text = message(read, path, inputs=["x [um]"], outputs=["u [V]"])
-    assert "is in um, which is no voltage: are --inputs and --outputs swapped?" in text
-    assert "is in V, which is no displacement" in text
+    assert "is in um, which is not a voltage: are --inputs and --outputs swapped?" in text
+    assert "is in V, which is not a displacement" in text
 
 
 @pytest.mark.parametrize(("name", "factor"), [("time_ms", 1e3), ("t [us]", 1e6), ("Time (ms)", 1e3)])

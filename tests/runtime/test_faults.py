@@ -119,7 +119,7 @@ def test_nothing_stays_behind_when_the_parent_is_ended(folder, started, number):
     assert_gone(family)
     if number != signal.SIGKILL:
         assert code == 130
-        assert error == "interrupted; what was finished is written, and nothing else\n"
+        assert error == "interrupted; finished results are saved, and nothing is half-written\n"
     assert json.loads((folder / "r/a/report.json").read_text())["name"] == "a"
     assert not [p for p in (folder / "r").rglob(".*") if p.name != ".hammerstein.json"]
 
@@ -129,7 +129,7 @@ def test_sigterm_ends_a_single_scenario_like_ctrl_c(folder, started):
     time.sleep(3.0)
     os.kill(run.process.pid, signal.SIGTERM)
     code, _, error = run.end(10)
-    assert (code, error) == (130, "interrupted; what was finished is written, and nothing else\n")
+    assert (code, error) == (130, "interrupted; finished results are saved, and nothing is half-written\n")
 
 
 def test_what_nohup_ignores_stays_ignored(folder, started):

@@ -128,7 +128,10 @@ def test_ctrl_c_in_a_destructor_is_answered_like_any_other(tmp_path):
     options = {"capture_output": True, "text": True, "cwd": tmp_path, "timeout": 60, "check": False}
     run = subprocess.run([sys.executable, "-c", SWALLOWED], **options)
     told = [line for line in run.stderr.splitlines() if not line.startswith("this takes about")]
-    assert (run.returncode, told) == (130, ["interrupted; what was finished is written, and nothing else"])
+    assert (run.returncode, told) == (
+        130,
+        ["interrupted; finished results are saved, and nothing is half-written"],
+    )
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")

@@ -84,7 +84,7 @@ def test_columns_go_to_the_axes_that_they_are_named_after(tmp_path, names):
     [
         (("y", "z"), "has the columns y, z; give one for each axis: x, y"),
         (("x", "x_um"), "has the columns x, x_um; give one for each axis: x, y"),
-        (("x_mV", "y_mV"), "column x_mV is in mV, which is no displacement"),
+        (("x_mV", "y_mV"), "column x_mV is in mV, which is not a displacement"),
     ],
 )
 def test_columns_that_contradict_the_axes_are_refused(tmp_path, capsys, names, said):
@@ -136,7 +136,7 @@ def test_a_file_of_a_scenario_is_read_in_its_unit(tmp_path):
     ("names", "said"),
     [
         (("y_um", "x_um"), "one for each of x, y, in this order"),
-        (("x_V", "y_V"), "is in V, which is no displacement"),
+        (("x_V", "y_V"), "is in V, which is not a displacement"),
     ],
 )
 def test_a_file_of_a_scenario_that_contradicts_the_axes_is_refused(tmp_path, names, said):

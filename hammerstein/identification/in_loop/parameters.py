@@ -238,5 +238,5 @@ class LoopParameters:
             numbers["factors"] = numbers["factors"].reshape(-1, 3).astype(np.int64)
             numbers["K"] = numbers["K"].reshape(len(numbers["r"]), -1)
         except (KeyError, TypeError, ValueError):
-            raise InputError(str(file), f"is no {WHAT}; start the search again") from None
+            raise InputError(str(file), f"is not a {WHAT}; start the search again") from None
         return cls(**numbers)
