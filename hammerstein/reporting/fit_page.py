@@ -39,20 +39,20 @@ CAPTIONS = {
     ),
     "residual": (
         "Prediction error",
-        "Over time: prediction error of the chosen model. Over frequency: largest amplitude in each "
-        "band, for every kind of model.",
+        "Over time: prediction error of the chosen model; where samples are many, from the lowest to the "
+        "highest of each part. Over frequency: largest amplitude in each band, for every kind of model.",
     ),
     "operators": (
         "Error against the number of operators",
         "Lines: cross-validation error against the number of operators, without fitted thresholds. "
-        "The grey bar and the stars mark this model; the legend gives its records, and whether its "
+        "The grey bar and the star mark this model; the legend gives its records, and whether its "
         "thresholds are fitted.",
     ),
     "response": (
         "Gain over frequency",
         "Gain of each pair, estimated from the records and, in the same way, from the model's "
         "predictions. Coherence: the fraction of each output's power that the inputs explain linearly. "
-        "Where it is below 0.5, the gain would be scatter and is not drawn.",
+        "Where it is below 0.5, noise dominates the gain, which is not drawn.",
     ),
 }
 
@@ -103,7 +103,7 @@ def fit_page(
     return Page(
         heading=Markdown("# Fit report of {}").format(model.name),
         what="Fit report",
-        title=f"How far to trust {model.name}",
+        title=f"How far to trust the model {model.name}",
         answer=paragraphs([points(summary(model, fit, asked)), markdown(fit.verdict)]),
         facts=[
             KIND_NAMES[fit.kind],

@@ -84,7 +84,7 @@ def test_thresholds_fitted_and_not_fitted_have_entries_of_their_own(fits: tuple[
     ):
         (legend,) = operators_figure(fit).legends
         words = [text.get_text().replace("\n", " ") for text in legend.get_texts()]
-        assert words[0] == f"{fit.outputs[0]}, held out, thresholds not fitted"
+        assert words[0] == f"{fit.outputs[0]}, cross-validation, thresholds not fitted"
         assert words[-1] == own
 
 

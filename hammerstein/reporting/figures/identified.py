@@ -238,7 +238,9 @@ def operators_figure(fit: Fit) -> Figure:
         for o, name in enumerate(fit.outputs):
             errors = [max(point.nrmse_percent[o], LEAST) for point in fit.error_curve]
             style = line_style(o) | {"marker": "os^xvD+"[o % 7]}
-            (entries[f"{column_words(name)}, held out, {UNFITTED}"],) = axes.plot(counts, errors, **style)
+            (entries[f"{column_words(name)}, cross-validation, {UNFITTED}"],) = axes.plot(
+                counts, errors, **style
+            )
         for n in chosen:
             mark = axes.axvline(n, color=PALE, linewidth=5.0, alpha=0.4, zorder=0)
         entries["operators of this model"] = mark
