@@ -157,7 +157,7 @@ class CheckResult:
                 text = [Markdown(clean(line.strip())) for line in below]
                 shown.insert(0, Markdown("\n").join([fence + Markdown("text"), *text, fence]))
                 table = [Markdown("| {} |").format(Markdown(" | ").join(row)) for row in rows]
-                rule = Markdown("|" + " --- |" * len(rows[0])) if rows else Markdown()
+                rule = Markdown("|") + Markdown(" --- |") * len(rows[0]) if rows else Markdown()
                 shown.insert(0, Markdown("\n").join([*table[:1], rule, *table[1:]]))
             if shown:
                 parts += [Markdown("## {}").format(check.name), *shown]

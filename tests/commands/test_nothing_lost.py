@@ -318,7 +318,7 @@ def test_no_device_is_replaced_by_a_file(folder, capsys):
 def test_a_baseline_never_overwrites_a_file_that_is_none(folder, capsys):
     (folder / "small.json").write_text('{"name": "my settings"}')
     assert call("check", "small.toml", "--baseline", ".", "--update-baseline") == 2
-    assert "no baseline" in capsys.readouterr().out
+    assert "not a baseline" in capsys.readouterr().out
     assert (folder / "small.json").read_text() == '{"name": "my settings"}'
 
 

@@ -103,7 +103,7 @@ def test_thresholds_can_be_given(records, tmp_path, capsys):
     assert HammersteinModel.load(str(out)).hysteresis.pairs[0][0].thresholds_v.tolist() == [0.0, 0.5, 3.0]
     capsys.readouterr()
     assert _call(*arguments, "--thresholds", "0;1") == 2
-    assert "no list of voltages with commas between them" in capsys.readouterr().err
+    assert "not a list of voltages with commas between them" in capsys.readouterr().err
 
 
 def test_json_holds_fit_and_validation(records, tmp_path, capsys):
