@@ -34,7 +34,7 @@ def refuse_size(path: Path, what: str, limit: int) -> None:
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({reason_of(error)})") from None
     if not stat.S_ISREG(found.st_mode):
-        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "no regular file"
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
         raise InputError(str(path), f"is {kind}; a {what} was expected")
     size = found.st_size
     if size > limit:
@@ -151,7 +151,7 @@ def refuse_no_file(source: str, path: Path) -> None:
             source, f"{path} is a link to {os.path.realpath(path)}; give that file, or another name"
         )
     if path.exists() and not path.is_file():
-        what = "a folder" if path.is_dir() else "no regular file"
+        what = "a folder" if path.is_dir() else "not a regular file"
         raise InputError(source, f"{path} is {what}; give the name of a file")
 
 

@@ -200,7 +200,7 @@ def compensate(stage, *options, path="path.csv", model="stage.json"):
         ),
         (("--range", "5,5"), 2, "each LOW below its HIGH"),
         (("--range", "0,1,2"), 2, "one pair for each input"),
-        (("--range", "a,b"), 2, "no list of numbers"),
+        (("--range", "a,b"), 2, "not a list of numbers"),
         (("--start", "40,50,60"), 2, "names 3 voltages; the model has 2 inputs"),
         (("--start", "-30"), 2, "is outside the range 0 to 100 V"),
         (("--start", "110", "--range", "0,130"), 3, "100 V; 2000 of 2000 samples are outside"),

@@ -446,7 +446,7 @@ def test_the_report_leads_with_the_trials(off):
     [
         (
             {"compensators": [{"label": "e", "law": "exact_inverse", "model": "duo_bimorph"}]},
-            "no option of 'e'",
+            "not an option of 'e'",
         ),
         (
             {"reference": {"kind": "circle", "radius_um": 20.0, "frequency_hz": 75.0}},

@@ -164,7 +164,7 @@ def test_what_no_table_holds_is_refused(tmp_path):
     assert wave_table(cycle, "csv").hold == 1
     with pytest.raises(InputError, match="table-scale"):
         wave_table(cycle, "pi")
-    with pytest.raises(InputError, match="no whole number of points, at most 500"):
+    with pytest.raises(InputError, match="not a whole number of points, at most 500"):
         wave_table(cycle, "nv200", (1.0, 0.0), 500)
     with pytest.raises(InputError, match="not one of pi, nv200, csv"):
         wave_table(cycle, "wav")

@@ -172,7 +172,7 @@ def test_refuses_another_sample_time_and_a_broken_delay():
     discrete = StateSpaceDynamics(A=((0.5,),), B=((1.0,),), C=((1.0,),), D=((0.0,),), sample_time_s=1e-3)
     with pytest.raises(InputError, match="identified at"):
         discretise(discrete, T)
-    with pytest.raises(InputError, match="no whole number of samples"):
+    with pytest.raises(InputError, match="not a whole number of samples"):
         discretise(discrete.model_copy(update={"input_delay_s": 1.5e-3}), 1e-3)
 
 

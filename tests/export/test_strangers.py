@@ -162,7 +162,7 @@ def test_a_file_larger_than_its_limit_and_one_that_never_ends_are_refused(folder
         os.mkfifo("pipe.json")
         (folder / "pipe.toml").write_text(SCENARIO.replace("evil.json", "pipe.json"))
         assert call("run", "pipe.toml") == 2
-        assert "no regular file" in capsys.readouterr().err
+        assert "not a regular file" in capsys.readouterr().err
 
 
 NO_NAMES = ["", "x" * 101, "a\x1b[31m", "a\nb", "a\u202eb", "a\u2066b", "a\ufffe", "a\u200b", "a\0"]
