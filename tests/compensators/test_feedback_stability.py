@@ -189,7 +189,7 @@ def test_hardly_any_drawn_stage_is_refused():
     assert refused <= 0.05 * STAGES
 
 
-@pytest.mark.parametrize("number", [189, *(pytest.param(n, marks=pytest.mark.full) for n in (261, 266))])
+@pytest.mark.parametrize("number", [261, *(pytest.param(n, marks=pytest.mark.full) for n in (189, 266))])
 def test_a_loop_that_lower_gains_make_more_sensitive_at_first_is_tuned(number):
     """Each of these was refused: gains were lowered by 2 % at a time, and the search ended too early."""
     stage = replace(drawn(number), derivative=True)

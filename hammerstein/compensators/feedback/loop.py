@@ -193,17 +193,21 @@ class FeedbackLoop(ByValue):
     def _distance(self, gains: Gains, frequency_hz: Array) -> Array:
         """Least singular value of 1 + L over the slopes (frequency,): the distance of a lone loop from -1.
 
-        Where L is small this is bounded by 1 - |L| without the singular values.
+        Where L is small this is bounded by 1 - |L| without the singular values. A slope counts only where it
+        could be nearer: |det| over what the other singular values multiply to at most, with that norm.
         """
         plant, controller = self._reading(frequency_hz), self._controller(gains, frequency_hz)
         bound = np.linalg.norm(plant, axis=(1, 2)) * np.abs(controller).max(axis=1)
         bound = bound * np.linalg.norm(self.slopes, axis=(1, 2)).max()
         least = np.maximum(1.0 - bound, 1.0 - SMALL)
-        near = bound > SMALL
+        near, others = np.flatnonzero(bound > SMALL), self.n_outputs - 1
         plant, controller = plant[near], controller[near, None, :]
         for slope in self.slopes:
             returned = np.eye(self.n_outputs) + plant @ slope * controller
-            least[near] = np.minimum(least[near], np.linalg.svd(returned, compute_uv=False)[:, -1])
+            most = (np.linalg.norm(returned, axis=(1, 2)) ** 2 / max(others, 1)) ** (0.5 * others)
+            nearer = np.abs(np.linalg.det(returned)) < least[near] * most
+            distance = np.linalg.svd(returned[nearer], compute_uv=False)[:, -1]
+            least[near[nearer]] = np.minimum(least[near[nearer]], distance)
         return np.asarray(least)
 
     def obstacle(self) -> str:
