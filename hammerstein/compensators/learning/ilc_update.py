@@ -247,14 +247,15 @@ def _rms_of(lines: Array, samples: int) -> float:
 def _doubt(error: Complex, noise: Array, samples: int, freedom: float) -> float:
     """Bound of the noise in the mean square of an error (p, line), see ``IlcUpdate.doubt_um2``.
 
-    The mean square is a sum over lines of |E + n|^2, each of variance 2 |E|^2 s^2 + s^4. Where one line has
-    nearly all of it, its deviation is known from as few periods as that of the line.
+    The mean square is a sum over lines of |E + n|^2, each of variance 2 |E|^2 s^2 + s^4, and twice that where
+    lines are real. Where one has nearly all of it, its deviation is known from as few periods as that line's.
     """
     from scipy.special import ndtr, stdtrit
 
-    weight = _counted(error, samples) / (len(error) * samples**2)
+    parts = _counted(error, samples)
+    weight = parts / (len(error) * samples**2)
     known = np.maximum(np.abs(error) ** 2 - noise**2, 0.0)
-    variance = float(np.sum(weight**2 * (2.0 * known * noise**2 + noise**4)))
+    variance = float(np.sum(weight**2 * 2.0 / parts * (2.0 * known * noise**2 + noise**4)))
     return float(stdtrit(freedom, ndtr(SIGNIFICANT))) * float(np.sqrt(variance))
 
 
