@@ -1,7 +1,7 @@
-"""The errors in the README and in the paper of the package: ranges over twelve seeds and two sample times.
+"""The errors in the README, the paper of the package and its guide: twelve seeds and two sample times.
 
-    python tests/readme_figures.py            print it (about ten minutes)
-    python tests/readme_figures.py --write    put its lines into the README and .github/paper.md
+    python tests/readme_figures.py            print them (about ten minutes)
+    python tests/readme_figures.py --write    put the lines into README.md, .github/paper.md and the guide
     python tests/readme_figures.py --check    exit code 1 where one of them says something else
 
 ``test_readme_figures`` runs one seed of it.
@@ -10,15 +10,23 @@
 from __future__ import annotations
 
 import itertools
+import re
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hammerstein.experiment.report import Row
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
-TEXTS = (README, ROOT / ".github/paper.md")
+TEXTS = (README, ROOT / ".github/paper.md", ROOT / "hammerstein/guide/compensators.md")
 SEEDS = tuple(range(1, 13))
 SAMPLE_TIMES_S = (50e-6, 25e-6)
 """Of the records and of the run: a figure that rests on one grid shows on the other."""
@@ -28,10 +36,12 @@ PAPER = ("paper, 50 Hz", "paper, 100 Hz", "paper, 150 Hz", "paper, 200 Hz")
 
 @dataclass(frozen=True)
 class Figure:
-    """One line of the table: all values of a figure in the rows of some compensators.
+    """One line of a table: all values of a figure in the rows of some compensators.
 
     words : what stands in the line; scenario : its file; labels : compensators
     metric : figure of merit, in um; amplitude_um : of the path, where the scenario has several
+    frequencies_hz : one cell each, with its median; one range over all frequencies if there are none
+    heading : what stands above the words, in a table that shares them with others
     """
 
     words: str
@@ -39,24 +49,51 @@ class Figure:
     labels: tuple[str, ...]
     metric: str = "euclidean_max_true_um"
     amplitude_um: float | None = None
+    frequencies_hz: tuple[float, ...] = ()
+    heading: str = ""
 
-    def values(self, seed: int, sample_time_s: float) -> list[float]:
-        """Values with one seed and sample time [s]."""
-        from hammerstein.experiment.run import run
-        from hammerstein.scenario import load_scenario
+    @property
+    def key(self) -> tuple[str, str]:
+        """What a line is found by."""
+        return self.heading, self.words
 
-        whole = load_scenario(ROOT / "scenarios" / f"{self.scenario}.toml")
-        drive = whole.instruments.drive.model_copy(update={"sample_time_s": sample_time_s})
-        changes = {"instruments": whole.instruments.model_copy(update={"drive": drive}), "seed": seed}
-        # all compensators: the noise of an identification follows from its place among them
-        report = run(whole.model_copy(update={**changes, "assessment": None}))
-        return [
-            float(row.figures[self.metric])
-            for row in report.rows
+    def cells(self, cases: Sequence[tuple[int, float]]) -> list[list[float]]:
+        """Values of each cell with some seeds and sample times [s]."""
+        rows = [
+            row
+            for one in cases
+            for row in rows_of(self.scenario, *one)
             if row.compensator in self.labels
             and self.amplitude_um in (None, row.amplitude_um)
             and row.excited_axis in ("all", row.measured_axis)
         ]
+        return [
+            [float(row.figures[self.metric]) for row in rows if asked in (None, row.frequency_hz)]
+            for asked in self.frequencies_hz or (None,)
+        ]
+
+
+@cache
+def rows_of(scenario: str, seed: int, sample_time_s: float) -> tuple[Row, ...]:
+    """Rows of a scenario with another seed and sample time [s], of all its compensators.
+
+    The noise of an identification follows from its place among them.
+    """
+    from hammerstein.experiment.run import run
+    from hammerstein.scenario import load_scenario
+
+    whole = load_scenario(ROOT / "scenarios" / f"{scenario}.toml")
+    drive = whole.instruments.drive.model_copy(update={"sample_time_s": sample_time_s})
+    changes = {"instruments": whole.instruments.model_copy(update={"drive": drive}), "seed": seed}
+    return run(whole.model_copy(update={**changes, "assessment": None})).rows
+
+
+def _by_frequency(
+    heading: str, scenario: str, labels: Sequence[str], metric: str, frequencies_hz: tuple[float, ...]
+) -> Iterator[Figure]:
+    """One line for each compensator, one cell for each frequency."""
+    for label in labels:
+        yield Figure(label, scenario, (label,), metric, None, frequencies_hz, heading)
 
 
 DYNAMICS = ("with dynamics",)
@@ -77,41 +114,83 @@ FIGURES = (
         "beyond_other_thresholds",
         ("fitted thresholds",),
     ),
+    *_by_frequency(
+        "50 um circle, largest distance [um]",
+        "beyond_circles",
+        (
+            "paper, 50 Hz",
+            "exact, static",
+            "with dynamics",
+            "no compensation",
+            "PI feedback",
+            "PID feedback",
+            "gain and PID feedback",
+            "with dynamics and PI feedback",
+        ),
+        "euclidean_max_true_um",
+        (50.0, 100.0, 200.0),
+    ),
+    *_by_frequency(
+        "20 um sine, rms error [um]",
+        "beyond_error",
+        (*PAPER, "decoupled, 50 Hz", "no compensation", "with dynamics"),
+        "rms_true_um",
+        (10.0, 100.0, 300.0),
+    ),
 )
 
 
-def line(figure: Figure, values: Iterable[float]) -> str:
-    """Line of the table with the least and the largest value."""
-    found = list(values)
-    return f"| {figure.words} | {_two_digits(min(found))} to {_two_digits(max(found))} |"
+def line(figure: Figure, cells: Sequence[Sequence[float]]) -> str:
+    """Line of a table: in each cell the least and the largest value, for one frequency also the median."""
+    told = []
+    for values in cells:
+        low, middle, high = (_two_digits(float(x)) for x in np.quantile(values, [0.0, 0.5, 1.0]))
+        told.append(f"{middle} ({low} to {high})" if figure.frequencies_hz else f"{low} to {high}")
+    return f"| {' | '.join([figure.words, *told])} |"
 
 
 def _two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def printed(readme: str) -> dict[str, tuple[float, float]]:
-    """Range of each line of the table as the README prints it."""
-    found = {}
-    for row in readme.splitlines():
-        cells = [cell.strip() for cell in row.strip("|").split("|")]
-        if len(cells) == 2 and cells[0] in {figure.words for figure in FIGURES}:
-            low, high = cells[1].split(" to ")
-            found[cells[0]] = (float(low), float(high))
-    return found
+def _keyed(text: str) -> Iterator[tuple[tuple[str, str], str]]:
+    """Lines of a text, each with the heading of the table that it stands in and its first cell."""
+    heading, inside = "", False
+    for row in text.split("\n"):
+        first = row.strip("|").split("|")[0].strip()
+        if not inside:
+            heading = first
+        inside = row.startswith("|")
+        yield (heading, first), row
 
 
-def table(seeds: Sequence[int] = SEEDS) -> dict[str, str]:
-    """Give every line of the table by its words."""
-    every = list(itertools.product(seeds, SAMPLE_TIMES_S))
+def _found(key: tuple[str, str], known: Mapping[tuple[str, str], str]) -> str | None:
+    """What is known of a line: words that no other table has need no heading."""
+    return known.get(key) or known.get(("", key[1]))
+
+
+def printed(text: str) -> dict[tuple[str, str], list[tuple[float, float]]]:
+    """Ranges of the cells of each figure as a text prints them."""
+    words = {figure.key: figure.words for figure in FIGURES}
     return {
-        figure.words: line(figure, [v for one in every for v in figure.values(*one)]) for figure in FIGURES
+        key if key in words else ("", key[1]): [
+            (float(low), float(high))
+            for low, high in re.findall(r"([\d.e-]+) to ([\d.e-]+)", row.partition(key[1])[2])
+        ]
+        for key, row in _keyed(text)
+        if row.startswith("|") and _found(key, words)
     }
 
 
-def written(text: str, lines: Mapping[str, str]) -> str:
-    """Put the lines of the table in the place of those with the same words."""
-    return "\n".join(lines.get(row.strip("|").split("|")[0].strip(), row) for row in text.split("\n"))
+def table(seeds: Sequence[int] = SEEDS) -> dict[tuple[str, str], str]:
+    """Give every line of the tables by its heading and words."""
+    every = list(itertools.product(seeds, SAMPLE_TIMES_S))
+    return {figure.key: line(figure, figure.cells(every)) for figure in FIGURES}
+
+
+def written(text: str, lines: Mapping[tuple[str, str], str]) -> str:
+    """Put the lines of the tables in the place of those with the same heading and words."""
+    return "\n".join(_found(key, lines) or row for key, row in _keyed(text))
 
 
 def main(arguments: Sequence[str]) -> int:
