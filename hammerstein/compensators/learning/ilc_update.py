@@ -87,6 +87,7 @@ def _diagonal(block: LinearBlock, frequency_hz: Array) -> Complex:
 SIGNIFICANT = 3.0  # standard deviations of normal noise: what an error must exceed to be learnt
 RANDOM = 0.01  # how often white noise is taken for drift, per output: at any of the lines above 0 Hz
 RANDOM_OFFSET = 0.2  # the same at 0 Hz, where sensors drift: a mistake delays this line by one trial
+RANDOM_EXCESS = 0.8  # the same where 0 Hz has more than the white noise of all lines: most likely drift
 SETTLING = 0.25  # of the length of a reading: time since the sensor read zero, in which it drifts too
 LEAST_PERIODS = 3  # scatter between periods is known from two differences on
 MEASURED = "measured"  # what the readings of a trial are called in messages, as long as they are no file
@@ -203,8 +204,7 @@ def ilc_update(
     noise = deviation / np.abs(lag)
     delta = (uncertainty or ModelUncertainty()).relative(model, frequency, time_s).T
     share = ModelUncertainty.share(delta)
-    least = _least_error(deviation, freedom) / np.abs(lag)
-    above_noise = (np.abs(error) > least) & (share > 0.0)
+    above_noise = (np.abs(error * lag) > _least_error(deviation, freedom)) & (share > 0.0)
     drive = drive_v
     if above_noise.any():
         now, _ = played(model, law.range, drive_v, time_s)
@@ -297,16 +297,16 @@ def _drifts(lines: Complex, scatter: Array, parts: Array) -> Array:
     Source: J. von Neumann, Distribution of the ratio of the mean square successive difference to the
     variance, Annals of Mathematical Statistics 12 (1941) 367-395.
     """
-    from scipy.special import betainc
+    from scipy.special import betainc, chdtri
 
     n = lines.shape[1]
     half, freedom = np.cos(np.pi / n), parts * (n - 1)
     shape = (half**2 * freedom * (freedom + 2.0) / (parts * (n - 2)) - 1.0) / 2.0
-    ratio = (np.abs(np.diff(lines, axis=1)) ** 2).mean(axis=1) / (
-        2.0 * np.maximum(scatter, np.finfo(float).tiny)
-    )
-    chance = np.full(len(parts), RANDOM / len(parts))
-    chance[0] = RANDOM_OFFSET
+    steps = 0.5 * (np.abs(np.diff(lines, axis=1)) ** 2).mean(axis=1)
+    ratio = steps / np.maximum(scatter, np.finfo(float).tiny)
+    excess = scatter[:, 0] > np.median(scatter, axis=1) * chdtri(n - 1, RANDOM) / (n - 1)
+    chance = np.full(scatter.shape, RANDOM / len(parts))
+    chance[:, 0] = np.where(excess, RANDOM_EXCESS, RANDOM_OFFSET)
     below = betainc(shape, shape, np.clip((ratio - 1.0 + half) / (2.0 * half), 0.0, 1.0))
     return np.asarray((below < chance) & (scatter > 0.0))
 
