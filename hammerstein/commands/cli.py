@@ -22,6 +22,7 @@ from hammerstein.commands import (
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.errors import SimulationError
+from hammerstein.runtime.resources import keep_freed_memory
 
 SMALLEST_BYTES = 1e9
 """Addresses that a command takes: with 0.7 GB `compensate` and `identify` fail in a library, with this
@@ -122,6 +123,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
     terminal.make_ready()
     _one_thread_a_job()
+    keep_freed_memory()
     sys.exit(_exit_code(arguments))
 
 

@@ -396,6 +396,11 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         for k, n in enumerate(bank.n):
             r, w, half = bank.r[k, :n], bank.w[k, :n], 0.5 * np.ptp(self.envelopes[k].voltages_v)
             kept, found = slice(n - len(self._moving[k]), None), []
+            if not (u_v[k].any() or before_v[k].any()):  # at rest nothing changes
+                rows = (len(self._moving[k]) + self.envelopes[k].n_free, w.shape[1])
+                values.append(np.zeros((*rows, u_v.shape[1])))
+                stood.append(np.zeros(rows))
+                continue
             before, own = self._moved(k, before_v[k]), self._moved(k, u_v[k])
             memory = np.full(n, before[0][0]), np.zeros(n), np.tile(before[1][:, 0], (n, 1))
             for x, moved in (before, *(own,) * passes):

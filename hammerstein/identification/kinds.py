@@ -181,13 +181,13 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Hammerste
     found: list[HammersteinFit] = []
     left: list[float] = []
     for turn, delay in enumerate(delays):
-        like = _again(found[-1].block) if found else None
+        like = replace(found[-1].block, rough=found[-1].block.picked) if found else None
         found.append(_before(task, thresholds_v, OutputDynamics((), delay), like, ROUGHLY))
         left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
         if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
     nearest = _first_as_good(task, found)
-    nearest = _before(task, thresholds_v, nearest.behind, nearest.block)
+    nearest = _before(task, thresholds_v, nearest.behind, _again(nearest.block))
     begun = _begun_anew(task, thresholds_v, nearest, first=False)
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 

@@ -43,7 +43,7 @@ from hammerstein.identification.static.normal_equations import (
     ridge_penalty,
     solve,
 )
-from hammerstein.identification.static.regressors import Filter, Regressors, SideBySide
+from hammerstein.identification.static.regressors import FilterOfAll, Regressors, SideBySide
 from hammerstein.identification.static.static_block import LEAST_SLOPE, direct_pairs
 from hammerstein.identification.task import Task
 
@@ -333,7 +333,7 @@ def _derived(one: AxisTask, x: Array, weights: Array) -> Moments:
     whole = one.columns
     padded = np.append(weights, np.zeros(whole - len(weights)))
 
-    def filters(time: float) -> list[Filter]:
+    def filters(time: float) -> list[FilterOfAll]:
         more = [one.derivatives(x, padded, time)] if len(x) else []
         return [SideBySide(one.path(x, time), whole), *more]
 

@@ -14,7 +14,7 @@ from multiprocessing.context import BaseContext
 
 from hammerstein.errors import tell_notices
 from hammerstein.files import discard_unfinished
-from hammerstein.runtime.resources import one_blas_thread
+from hammerstein.runtime.resources import keep_freed_memory, one_blas_thread
 
 ENDED = 143  # 128 + 15, what shells give for SIGTERM
 GARBAGE = (50_000, 20, 50)
@@ -125,6 +125,7 @@ def make_ready() -> None:
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_the_parent, daemon=True).start()
     tell_notices()
+    keep_freed_memory()
     _FOR_GOOD.enter_context(one_blas_thread())
     gc.freeze()
     gc.set_threshold(*GARBAGE)

@@ -28,6 +28,8 @@ APART = 2.0
 SURE_CREEP = 3.0
 """Standard errors that the gain of a creep mode must have, if it was not asked for."""
 CREEP_OPERATORS = 6  # few: creep is slower than any loop
+FEW = 40
+"""Columns in memory of which no fewer are taken first: those of the largest power, which are the last."""
 PARTS = 16
 """Parts of a record within which errors may be related."""
 NEAR = 1.15
@@ -127,11 +129,8 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
     x = begin if len(begin) == shape.parameters else np.concatenate([begin[: shape.slow], _first_creep(task)])
     if not shape.parameters:
         return AxisFit(Axis(), None, None, (), static, static)
-    if shape.creep_modes and task.columns > len(task.grids):
-        x = refine(
-            replace(task, grids=uniform_grids(task.records, CREEP_OPERATORS)), x
-        ).x  # many steps, each of them cheaper
-    point = refine(task, x)
+    quick = _with_few_columns(task)
+    point = refine(task, refine(quick, x).x if quick else x)
     found = AxisFit(
         axis=axis_of(shape, point.x),
         resonance_error_percent=None,
@@ -143,6 +142,16 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
         one_rate=_at_one_rate(task) and (shape.lag or (shape.resonance and _among_harmonics(task, point))),
     )
     return found.with_errors(standard_errors(task, point))
+
+
+def _with_few_columns(task: AxisTask) -> AxisTask | None:
+    """The same task for steps that cost less, where there may be many of them; None where it is small."""
+    if task.kept:
+        few = tuple(replace(one, values=one.values[-FEW:], held=one.held[-FEW:]) for one in task.kept)
+        return replace(task, kept=few) if task.columns > FEW else None
+    if not task.shape.creep_modes or task.columns <= len(task.grids):
+        return None
+    return replace(task, grids=uniform_grids(task.records, CREEP_OPERATORS))
 
 
 def standard_errors(task: AxisTask, point: Point) -> Array:

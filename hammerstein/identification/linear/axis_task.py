@@ -18,6 +18,7 @@ from hammerstein.identification.static.normal_equations import Moments, moments_
 from hammerstein.identification.static.regressors import (
     MOST_KEPT,
     Filter,
+    FilterOfAll,
     InitialState,
     PlayColumns,
     Regressors,
@@ -76,6 +77,10 @@ class Derivatives:
         """State of paths that were held at these columns for ever."""
         held = float(self.weights @ columns)
         return held * self._of_one if held else self.rest()
+
+    def among(self, columns: NDArray[np.intp]) -> Derivatives:
+        """The weights of these columns; see ``FilterOfAll``."""
+        return replace(self, weights=self.weights[columns])
 
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Derivatives (parameter, sample) and the state after them."""
@@ -193,34 +198,32 @@ class AxisTask:
         whole, _ = self.late(record.sample_time_s)
         if self.kept:
             return self.kept[number].blocks(start, whole, filters)
-        if self._plays:
-            return behind_filters(self._plays[number], start, filters)
         return regressor_blocks(delayed(record, start, whole), start, self.grids, filters)
 
     @cached_property
-    def _plays(self) -> tuple[PlayColumns, ...]:
-        """Differences of the plays, for every step of a search; none where they would fill the memory."""
+    def _plays(self) -> tuple[tuple[NDArray[np.intp], PlayColumns], ...]:
+        """Differences of plays that move, for every step; none where they would fill the memory."""
         if self.columns * sum(record.samples for record in self.records) > MOST_KEPT:
             return ()
         late = [self.late(record.sample_time_s)[0] for record in self.records]
         return tuple(
-            PlayColumns.of(delayed(record, start, whole), start, self.grids).kept()
+            PlayColumns.of(delayed(record, start, whole), start, self.grids).moving()
             for record, start, whole in zip(self.records, self.starts, late, strict=True)
         )
 
-    def _moving(self, number: int, columns: int) -> NDArray[np.intp] | None:
-        """Numbers of the columns of a record that move, with all that follow; None if it is not known."""
-        if not self._moves:
-            return None
-        own = self._moves[number]
-        return np.append(np.flatnonzero(own), np.arange(len(own), columns))
-
-    @cached_property
-    def _moves(self) -> tuple[NDArray[np.bool_], ...]:
-        """Columns of each record that are not zero all the time: often one input is driven at a time."""
+    def _moving(
+        self, number: int, filters: Sequence[FilterOfAll]
+    ) -> tuple[NDArray[np.intp] | None, Iterator[tuple[int, Array]]]:
+        """Numbers of the columns of a record that move, and ``blocks`` of them: often one input rests."""
+        record, start = self.records[number], self.starts[number]
         if self.kept:
-            return tuple(one.moves for one in self.kept)
-        return tuple(one.moves() for one in self._plays)
+            own, kept = self.kept[number].moving
+            whole, _ = self.late(record.sample_time_s)
+            return own, kept.blocks(start, whole, [one.among(own) for one in filters])
+        if self._plays:
+            own, plays = self._plays[number]
+            return own, behind_filters(plays, start, [one.among(own) for one in filters])
+        return None, self.blocks(number, filters)
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -277,16 +280,17 @@ class AxisTask:
         places = [x, *(x + STEP * np.eye(len(x)))]
         return Derivatives(slopes, tuple(self.paths(places, sample_time_s)))
 
-    def moments(self, filters: Callable[[float], Sequence[Filter]], columns: int) -> Moments:
+    def moments(self, filters: Callable[[float], Sequence[FilterOfAll]], columns: int) -> Moments:
         """Moments of the columns with the output over all records; the filters depend on the sample time."""
         times = {record.sample_time_s for record in self.records}
         built = {time: filters(time) for time in times}
         parts = []
         for i, record in enumerate(self.records):
             y, step = record.y_um[[self.output]], self.every
-            blocks = self.blocks(i, built[record.sample_time_s])
+            own, blocks = self._moving(i, built[record.sample_time_s])
             counted = ((c[:, ::step], y[:, k : k + c.shape[1] : step]) for k, c in blocks)
-            parts.append(moments_of(counted, columns, 1, self._moving(i, columns)))
+            numbers = None if own is None else np.append(own, np.arange(self.columns, columns))
+            parts.append(moments_of(counted, columns, 1, numbers))
         return pooled(parts)
 
 

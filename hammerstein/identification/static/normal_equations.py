@@ -29,9 +29,6 @@ NOTHING = 1e-7
 """Size of a column, in parts of the largest, below which it holds rounding errors alone."""
 NO_DIRECTION = 1e-9
 """Singular value of columns of length one, in parts of the largest, that is a rounding error."""
-TILE, CHUNK = 32, 256
-"""Columns and samples of one product: small enough that BLAS does it on one core. Waiting for a second core
-that is busy costs far more than it brings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +67,12 @@ def moments_of(
 ) -> Moments:
     """Moments of one record from blocks (column, sample) and (output, sample).
 
-    moving : numbers of the columns that are not zero all the time, if they are known; all if not given
+    moving : numbers of the columns that the blocks hold; the others are zero all the time. All if not given
     """
     k = columns + outputs
-    total = np.zeros((k + 1, k + 1))
-    own = slice(None) if moving is None else moving
-    summed = np.r_[np.arange(columns)[own], columns : k + 1]
+    own = np.arange(columns) if moving is None else moving
+    summed, n = np.r_[own, columns : k + 1], len(own)
+    gathered = np.zeros((len(summed), len(summed)))
     reference: Array | None = None
     rows = np.empty((len(summed), 0))
     for x, y in blocks:
@@ -84,36 +81,24 @@ def moments_of(
         if rows.shape[1] != x.shape[1]:
             rows = np.ones((len(summed), x.shape[1]))
         # sums of large numbers would lose what their differences tell
-        np.subtract(x[own], reference[:columns][own], out=rows[: -outputs - 1])
-        np.subtract(y, reference[columns:], out=rows[-outputs - 1 : -1])
-        total[np.ix_(summed, summed)] += _products(rows)
+        np.subtract(x, reference[:n], out=rows[:n])
+        np.subtract(y, reference[n:], out=rows[n:-1])
+        gathered += rows @ rows.T
     if reference is None:
         raise IdentificationError("the record has no usable sample")
+    total = np.zeros((k + 1, k + 1))
+    total[np.ix_(summed, summed)] = gathered
     samples = total[k, k]
-    mean = total[:k, k] / samples
+    mean, begun = total[:k, k] / samples, np.zeros(k)
+    begun[summed[:-1]] = reference[:, 0]
     centred = total[:k, :k] - samples * np.outer(mean, mean)
     return Moments(
         gram=centred[:columns, :columns],
         cross=centred[:columns, columns:],
         power=np.diag(centred)[columns:].copy(),
         samples=int(samples),
-        means=(mean + reference[:, 0])[None, :],
+        means=(mean + begun)[None, :],
     )
-
-
-def _products(rows: Array) -> Array:
-    """Products of all rows (row, sample) with each other, tile by tile."""
-    k, samples = rows.shape
-    whole = samples - samples % CHUNK
-    stacks = [rows[:, :whole].reshape(k, -1, CHUNK).transpose(1, 0, 2), rows[None, :, whole:]]
-    total = np.zeros((k, k))
-    for stack in stacks:
-        for i in range(0, k, TILE):
-            for j in range(i, k, TILE):
-                tile = np.matmul(stack[:, i : i + TILE], stack[:, j : j + TILE].transpose(0, 2, 1))
-                total[i : i + TILE, j : j + TILE] += tile.sum(axis=0)
-    upper = np.triu(total)
-    return upper + np.triu(upper, 1).T
 
 
 def pooled(parts: Sequence[Moments]) -> Moments:
