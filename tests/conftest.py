@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from record_cases import TIME, U, X, table_text
 
+from hammerstein.runtime.resources import keep_freed_memory
+
+keep_freed_memory()
 hypothesis.settings.register_profile("untimed", deadline=None)  # a loop may have to be compiled first
 hypothesis.settings.load_profile("untimed")
 

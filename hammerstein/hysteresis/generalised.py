@@ -392,24 +392,24 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         """Derivatives of the plays in closed form; see ``Identifiable``."""
         from hammerstein.hysteresis.envelope_kernels import play_derivatives
 
-        bank, values, stood = self.plays.bank, [], []
+        bank, first = self.plays.bank, 0
+        values = np.zeros((len(self.free), self.n_outputs, u_v.shape[1]))
+        stood = np.zeros(values.shape[:2])
         for k, n in enumerate(bank.n):
-            r, w, half = bank.r[k, :n], bank.w[k, :n], 0.5 * np.ptp(self.envelopes[k].voltages_v)
+            one, begin = self.envelopes[k], first
+            first += len(self._moving[k]) + one.n_free
+            if not (u_v[k].any() or before_v[k].any()):
+                continue  # at rest nothing changes
+            r, w, half = bank.r[k, :n], bank.w[k, :n], 0.5 * np.ptp(one.voltages_v)
             kept, found = slice(n - len(self._moving[k]), None), []
-            if not (u_v[k].any() or before_v[k].any()):  # at rest nothing changes
-                rows = (len(self._moving[k]) + self.envelopes[k].n_free, w.shape[1])
-                values.append(np.zeros((*rows, u_v.shape[1])))
-                stood.append(np.zeros(rows))
-                continue
             before, own = self._moved(k, before_v[k]), self._moved(k, u_v[k])
             memory = np.full(n, before[0][0]), np.zeros(n), np.tile(before[1][:, 0], (n, 1))
             for x, moved in (before, *(own,) * passes):
                 found.append(np.empty((n + len(moved), w.shape[1], len(x))))
                 play_derivatives(x, moved, r, w, *memory, found[-1])
                 found[-1][:n] *= half
-            values.append(found[-1][kept])
-            stood.append(found[0][kept, :, -1])
-        return np.concatenate(values), np.concatenate(stood)
+            values[begin:first], stood[begin:first] = found[-1][kept], found[0][kept, :, -1]
+        return values, stood
 
     def _moved(self, k: int, u: Array) -> tuple[Array, Array]:
         """Inputs (N,) of the plays of one voltage, and their derivatives (number, N) by its envelope."""

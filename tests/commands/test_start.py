@@ -296,7 +296,10 @@ def test_every_help_has_one_example_that_works_as_typed(
 
 
 @pytest.mark.full
-def test_quiet_prints_what_is_asked_for_alone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_prints_what_is_asked_for_alone(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HAMMERSTEIN_CACHE_MB", KEPT_MB)
     assert call("-q", "run", ".", "--no-figures") == 0
     assert capsys.readouterr().out == ""
     assert call("-q", "run", ".", "--no-figures", "--json") == 0

@@ -17,6 +17,8 @@ from hammerstein.hysteresis import (
     BoucWen,
     BoucWenPair,
     DeadZones,
+    Envelope,
+    Generalised,
     Pair,
     PrandtlIshlinskii,
     RateDependent,
@@ -58,6 +60,7 @@ KINDS = [
         ("bouc_wen", "auto"),
         ("rate_dependent", "auto"),
         ("asymmetric", "auto"),
+        ("generalised", "auto"),
     )
 ]
 KINDS.append(Kind("asymmetric", False, dead_zones=1))
@@ -86,6 +89,7 @@ def actuator(kind: Kind, rng: np.random.Generator) -> HammersteinModel:
         "rate_dependent": lambda: RateDependent(
             (RatePlays(r, np.where(r > 0.0, rng.uniform(2e-4, 6e-4), 0.0), 300.0),), ((w,),)
         ),
+        "generalised": lambda: Generalised((_envelope(rng),), plays),
         "asymmetric": lambda: Asymmetric(
             plays, ((DeadZones(np.sort(rng.uniform(-7.0, 7.0, zones)), rng.uniform(-0.5, 0.5, zones)),),)
         ),
@@ -97,6 +101,13 @@ def actuator(kind: Kind, rng: np.random.Generator) -> HammersteinModel:
     return HammersteinModel(
         "truth", hysteresis, dynamics, RANGE_V, ("u",), ("y",), Instruments.ideal(SAMPLE_TIME_S)
     )
+
+
+def _envelope(rng: np.random.Generator) -> Envelope:
+    """Three lines whose slopes are up to a factor of two apart."""
+    ends = np.array([-RANGE_V, rng.uniform(-6.0, -2.0), rng.uniform(2.0, 6.0), RANGE_V])
+    rises = np.diff(ends) * rng.uniform(0.6, 1.2, 3)
+    return Envelope(ends, -RANGE_V + np.cumsum([0.0, *rises]))
 
 
 def voltages(kind: Kind) -> np.ndarray:

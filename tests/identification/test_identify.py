@@ -187,8 +187,8 @@ def test_weights_behind_a_known_coupled_block_come_back():
         found = np.array([[pair.weights_um_per_v for pair in row] for row in fit.hysteresis.pairs])
         assert (np.abs(found - falling).max() < 1e-8) == comes_back
         assert (found[0, 0, 0] > 0.0) != comes_back
-    path = ModalCopies.of(block, 1, 0, 1)
-    said, _ = path.respond(u[:1], path.rest())
+    path = ModalCopies.of(block, 1, 0)
+    said, _ = path.respond(u[:1], path.settled(np.zeros(1)))
     assert np.abs(said - responses(a, b[:, :1], c[1:], u[:1])).max() < 1e-9
     split = behind_gain(block, np.array([[2.0, 0.0], [0.0, 4.0]]))
     assert np.abs(split.response([5.0]) * [2.0, 4.0] - block.response([5.0])).max() < 1e-12

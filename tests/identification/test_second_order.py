@@ -277,7 +277,7 @@ def test_derivatives_are_those_of_the_output():
     slopes = np.arange(1.0, 9.0)
     columns = np.random.default_rng(0).standard_normal((8, 300))
     block = task.derivatives(x, slopes, T)
-    rows, _ = block.respond(columns, block.rest())
+    rows, _ = block.respond(columns, block.settled(np.zeros(8)))
     for i in range(4):
         step = 1e-4 * np.eye(4)[i]
         ahead, behind = (task.path(x + s * step, T).respond(slopes @ columns)[0][0] for s in (1.0, -1.0))

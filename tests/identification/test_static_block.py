@@ -224,8 +224,8 @@ def test_the_path_of_one_axis_keeps_only_the_states_it_needs():
     assert channel(both, 2, 1) is None
     u = np.random.default_rng(7).standard_normal((1, 50))
     wanted = lfilter([0.0, 1.0], [1.0, -0.7], lfilter([0.0, 1.0], [1.0, -0.7], u))
-    copies = SideBySide(path, 1)
-    first, state = copies.respond(u[:, :20], copies.rest())
+    copies = SideBySide(path)
+    first, state = copies.respond(u[:, :20], copies.settled(np.zeros(1)))
     second, _ = copies.respond(u[:, 20:], state)
     assert np.abs(np.hstack([first, second]) - wanted).max() < 1e-12
 
@@ -362,7 +362,7 @@ def test_copies_at_rest_stay_there_beside_others():
     path = LinearBlock(np.array([[0.9]]), np.array([[0.1]]), np.ones((1, 1)), np.zeros((1, 1)), 1e-3)
     columns, start = np.zeros((13, 50)), np.zeros((13, 1))
     columns[[4, 12]], start[9] = 1.0, 1.0
-    y, after = SideBySide(path, 13).respond(columns, start)
+    y, after = SideBySide(path).respond(columns, start)
     decay = 0.9 ** np.arange(51)
     wanted = np.zeros((13, 51))
     wanted[[4, 12]], wanted[9] = 1.0 - decay, decay

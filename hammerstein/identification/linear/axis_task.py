@@ -18,10 +18,10 @@ from hammerstein.identification.static.normal_equations import Moments, moments_
 from hammerstein.identification.static.regressors import (
     MOST_KEPT,
     Filter,
-    FilterOfAll,
     InitialState,
     PlayColumns,
     Regressors,
+    SideBySide,
     behind_filters,
     delayed,
     regressor_blocks,
@@ -46,10 +46,6 @@ class OfSum:
     weights: Array
     block: LinearBlock
 
-    def rest(self) -> Array:
-        """State of a block that was never driven."""
-        return self.block.rest()
-
     def settled(self, columns: Array) -> Array:
         """State of a block that was held at these columns for ever."""
         return self.block.settled([float(self.weights @ columns)])
@@ -69,17 +65,13 @@ class Derivatives:
     weights: Array
     paths: tuple[LinearBlock, ...]
 
-    def rest(self) -> Array:
-        """State (group, state, 4) of paths that were never driven."""
-        return np.zeros_like(self._matrices[1])
-
     def settled(self, columns: Array) -> Array:
-        """State of paths that were held at these columns for ever."""
+        """State (group, state, 4) of paths that were held at these columns for ever."""
         held = float(self.weights @ columns)
-        return held * self._of_one if held else self.rest()
+        return held * self._of_one if held else np.zeros_like(self._matrices[1])
 
     def among(self, columns: NDArray[np.intp]) -> Derivatives:
-        """The weights of these columns; see ``FilterOfAll``."""
+        """The same for the columns of these numbers; all others are zero."""
         return replace(self, weights=self.weights[columns])
 
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
@@ -112,6 +104,10 @@ class Derivatives:
         whole = np.array(each, dtype=np.float64)
         filled = np.concatenate([whole, np.zeros((-len(whole) % 4, *whole.shape[1:]))])
         return np.ascontiguousarray(np.moveaxis(filled.reshape(-1, 4, *whole.shape[1:]), 1, -1))
+
+
+ByColumn = SideBySide | Derivatives
+"""Filters of columns that may be fewer."""
 
 
 @dataclass(frozen=True)
@@ -173,18 +169,11 @@ class AxisTask:
 
         Each input has one column for its given slopes, and three columns for thirds of its slope changes.
         """
-        rows, first = [], 0
-        for grid in self.grids:
-            own = np.zeros(sum(map(len, self.grids)))
-            own[first : first + len(grid)] = slopes[first : first + len(grid)]
-            rows += [own] if grid.size else []
-            for part in (
-                np.array_split(np.arange(first, first + len(grid)), min(MIXED, len(grid)))
-                if grid.size
-                else []
-            ):
-                rows.append(np.isin(np.arange(len(own)), part).astype(np.float64))
-            first += len(grid)
+        every, rows = np.eye(self.columns), []
+        ends = np.cumsum([len(grid) for grid in self.grids])
+        for own in np.split(np.arange(len(every)), ends[:-1]):
+            parts = np.array_split(own, min(MIXED, own.size)) if own.size else []
+            rows += [slopes[own] @ every[own], *(every[part].sum(axis=0) for part in parts)] if parts else []
         few = np.array(rows)
         kept = tuple(
             Regressors.of(record.u_v, start, self.grids, few)
@@ -212,18 +201,17 @@ class AxisTask:
         )
 
     def _moving(
-        self, number: int, filters: Sequence[FilterOfAll]
+        self, number: int, filters: Sequence[ByColumn]
     ) -> tuple[NDArray[np.intp] | None, Iterator[tuple[int, Array]]]:
         """Numbers of the columns of a record that move, and ``blocks`` of them: often one input rests."""
-        record, start = self.records[number], self.starts[number]
-        if self.kept:
-            own, kept = self.kept[number].moving
-            whole, _ = self.late(record.sample_time_s)
-            return own, kept.blocks(start, whole, [one.among(own) for one in filters])
-        if self._plays:
-            own, plays = self._plays[number]
-            return own, behind_filters(plays, start, [one.among(own) for one in filters])
-        return None, self.blocks(number, filters)
+        start = self.starts[number]
+        if not (self.kept or self._plays):
+            return None, self.blocks(number, filters)
+        own, columns = self.kept[number].moving if self.kept else self._plays[number]
+        few = [one.among(own) if isinstance(one, Derivatives) else one for one in filters]
+        if isinstance(columns, PlayColumns):
+            return own, behind_filters(columns, start, few)
+        return own, columns.blocks(start, self.late(self.records[number].sample_time_s)[0], few)
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -280,7 +268,7 @@ class AxisTask:
         places = [x, *(x + STEP * np.eye(len(x)))]
         return Derivatives(slopes, tuple(self.paths(places, sample_time_s)))
 
-    def moments(self, filters: Callable[[float], Sequence[FilterOfAll]], columns: int) -> Moments:
+    def moments(self, filters: Callable[[float], Sequence[ByColumn]], columns: int) -> Moments:
         """Moments of the columns with the output over all records; the filters depend on the sample time."""
         times = {record.sample_time_s for record in self.records}
         built = {time: filters(time) for time in times}

@@ -32,21 +32,11 @@ MOST_KEPT = 4_000_000
 class Filter(Protocol):
     """A linear block that columns pass, with its memory outside."""
 
-    def rest(self) -> NDArray[Any]:
-        """State of a block that was never driven."""
-
     def settled(self, columns: Array) -> NDArray[Any]:
         """State of a block that was held at ``columns`` (column,) for ever."""
 
     def respond(self, columns: Array, start: NDArray[Any], /) -> tuple[Array, NDArray[Any]]:
         """Outputs (row, sample) and the state after them."""
-
-
-class FilterOfAll(Filter, Protocol):
-    """A filter that is told how many columns there are."""
-
-    def among(self, columns: NDArray[np.intp]) -> Filter:
-        """The same for the columns of these numbers; all others are zero."""
 
 
 @dataclass(frozen=True)
@@ -320,26 +310,17 @@ class SideBySide:
     """Copies of a path with one input and one output, one for each column."""
 
     path: LinearBlock
-    copies: int
-
-    def rest(self) -> Array:
-        """State (copy, state) of paths that were never driven."""
-        return np.zeros((self.copies, len(self.path.A)))
 
     def settled(self, columns: Array) -> Array:
         """State (copy, state) of paths that were held at their column for ever."""
         if not columns.any():
-            return self.rest()
+            return np.zeros((len(columns), len(self.path.A)))
         return np.outer(columns, self._of_one)
 
     @cached_property
     def _of_one(self) -> Array:
         """State (state,) of one copy that was held at 1 for ever: a search asks for it thousands of times."""
         return self.path.settled([1.0])
-
-    def among(self, columns: NDArray[np.intp]) -> SideBySide:
-        """As many copies as there are columns; see ``FilterOfAll``."""
-        return replace(self, copies=len(columns))
 
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Outputs (copy, sample) and the state after them."""
