@@ -56,8 +56,7 @@ def chosen_columns(
     ridge : requested penalty; 0: it is found
     """
     found = [_chosen(task, block, driven, dynamics, ridge) for block in begins]
-    block, smooth, _ = _first_near(found, lambda one: one[2])
-    return block, smooth
+    return _first_near(found, lambda one: one[2])[:2]
 
 
 def _chosen(

@@ -186,10 +186,12 @@ def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any], related: int) ->
     for o, (weights, s2) in enumerate(zip(known, variance, strict=True)):
         alone = np.sum([one.every * one.by_numbers[o] @ one.by_numbers[o].T for one in told], axis=0)
         mixed = np.sum([one.every * one.by_weights[o] @ one.by_numbers[o].T for one in told], axis=0)
-        s2 = max(float(s2), np.finfo(float).tiny)
-        drag = weights.covariance @ mixed / s2
+        gram = np.sum([one.every * one.by_weights[o] @ one.by_weights[o].T for one in told], axis=0)
+        ways = weights.factor_um_per_v
+        noise = float(np.linalg.norm(ways.T @ gram @ ways, 2))  # that of their fit; s^2, but for rounding
+        drag = weights.covariance @ mixed / max(noise, np.finfo(float).tiny)
         following.append(-drag)
-        information.append((alone - mixed.T @ drag) / s2)
+        information.append((alone - mixed.T @ drag) / max(float(s2), np.finfo(float).tiny))
     return _Mean(tuple(information), tuple(following), variance, misfit, samples)
 
 

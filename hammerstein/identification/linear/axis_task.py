@@ -174,9 +174,8 @@ class AxisTask:
         for own in np.split(np.arange(len(every)), ends[:-1]):
             parts = np.array_split(own, min(MIXED, own.size)) if own.size else []
             rows += [slopes[own] @ every[own], *(every[part].sum(axis=0) for part in parts)] if parts else []
-        few = np.array(rows)
         kept = tuple(
-            Regressors.of(record.u_v, start, self.grids, few)
+            Regressors.of(record.u_v, start, self.grids, np.array(rows))
             for record, start in zip(self.records, self.starts, strict=True)
         )
         return replace(self, kept=kept)
