@@ -71,33 +71,30 @@ def moments_of(
     """
     k = columns + outputs
     own = np.arange(columns) if moving is None else moving
-    summed, n = np.r_[own, columns : k + 1], len(own)
-    gathered = np.zeros((len(summed), len(summed)))
-    reference: Array | None = None
-    rows = np.empty((len(summed), 0))
+    summed, n = np.r_[own, columns:k], len(own)
+    gathered, reference = np.zeros((len(summed) + 1,) * 2), np.empty((0, 1))
+    rows = np.empty((len(gathered), 0))
     for x, y in blocks:
-        if reference is None:
+        if not len(reference):
             reference = np.concatenate([x[:, :1], y[:, :1]])
         if rows.shape[1] != x.shape[1]:
-            rows = np.ones((len(summed), x.shape[1]))
+            rows = np.ones((len(gathered), x.shape[1]))
         # sums of large numbers would lose what their differences tell
         np.subtract(x, reference[:n], out=rows[:n])
         np.subtract(y, reference[n:], out=rows[n:-1])
         gathered += rows @ rows.T
-    if reference is None:
+    if not len(reference):
         raise IdentificationError("the record has no usable sample")
-    total = np.zeros((k + 1, k + 1))
-    total[np.ix_(summed, summed)] = gathered
-    samples = total[k, k]
-    mean, begun = total[:k, k] / samples, np.zeros(k)
-    begun[summed[:-1]] = reference[:, 0]
-    centred = total[:k, :k] - samples * np.outer(mean, mean)
+    samples, mean = gathered[-1, -1], gathered[:-1, -1] / gathered[-1, -1]
+    total, means = np.zeros((k, k)), np.zeros((1, k))
+    total[np.ix_(summed, summed)] = gathered[:-1, :-1] - samples * np.outer(mean, mean)
+    means[0, summed] = mean + reference[:, 0]
     return Moments(
-        gram=centred[:columns, :columns],
-        cross=centred[:columns, columns:],
-        power=np.diag(centred)[columns:].copy(),
+        gram=total[:columns, :columns],
+        cross=total[:columns, columns:],
+        power=np.diag(total)[columns:].copy(),
         samples=int(samples),
-        means=(mean + begun)[None, :],
+        means=means,
     )
 
 
