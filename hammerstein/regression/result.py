@@ -156,8 +156,10 @@ class CheckResult:
                 fence = Markdown("`" * (1 + max([2, *ticks])))
                 text = [Markdown(clean(line.strip())) for line in below]
                 shown.insert(0, Markdown("\n").join([fence + Markdown("text"), *text, fence]))
-                table = [Markdown("| {} |").format(Markdown(" | ").join(row)) for row in rows]
-                rule = Markdown("|") + Markdown(" --- |") * len(rows[0]) if rows else Markdown()
+                at = rows[0].index("metric") if rows else 0  # a long name, which stands with the first column
+                short = [[f"{row[0]}, {row[at]}", *row[1:at], *row[at + 1 :]] for row in rows]
+                table = [Markdown("| {} |").format(Markdown(" | ").join(row)) for row in short]
+                rule = Markdown("|") + Markdown(" --- |") * len(short[0]) if rows else Markdown()
                 shown.insert(0, Markdown("\n").join([*table[:1], rule, *table[1:]]))
             if shown:
                 parts += [Markdown("## {}").format(check.name), *shown]

@@ -68,7 +68,7 @@ def test_a_file_that_is_not_ours_is_never_overwritten(folder, capsys):
     assert call("run", "small.toml", "--out", ".", "--no-figures") == 2
     error = capsys.readouterr().err
     assert "report.md" in error
-    assert "this command did not write" in error
+    assert "this command did not write; move it away" in error
     assert contents(folder) == before
 
 

@@ -462,9 +462,10 @@ def test_the_summary_page_shows_every_scenario_and_every_table() -> None:
     assert "| a\\|b | **FAIL**: 1 of 12 numbers left its tolerance |" in page
     assert "| spiral | pass: 7 numbers within tolerance |" in page
     head, rule, row = [line for line in page.splitlines() if line.startswith("|")][4:]
-    assert head.startswith("| compensator |")  # a table: lines of text scrolled sideways on a telephone
+    # a table, with the long name of the metric in its first column: lines of text scrolled sideways
+    assert head.startswith("| compensator, metric |")
     assert set(rule) == set("|- ")
-    assert row.startswith("| \\`\\`\\` |")
+    assert row.startswith("| \\`\\`\\`, rms_um |")
     assert "| +6.4 % |" in row
     assert "--update-baseline" in page.split("```")[1]
 

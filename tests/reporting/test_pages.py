@@ -251,7 +251,7 @@ def test_numbers_that_nothing_was_swept_for_are_dots_beside_each_other() -> None
         line.get_color() for line in left.lines if line.get_linewidth() == 4.0 and len(line.get_xdata())
     }
     assert len(by_colour) == 2  # a baseline has the colour of its curve, or crossing ones were mixed up
-    assert "0.1 or less at the bottom" in right.get_title("right")
+    assert right.get_title("right") == "grey: allowed; bottom: up to 0.1"
 
 
 def test_a_check_without_a_common_row_has_a_page() -> None:
@@ -274,6 +274,14 @@ def opened(page: Page, path: Path, width: int = 1400) -> Page:
     if path.as_posix().endswith(INTERACTIVE):
         page.wait("window.Bokeh && Bokeh.documents.length && Bokeh.documents[0].is_idle")
     return page
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_no_table_of_a_check_scrolls_sideways(folder: Path, page: Page, width: int) -> None:
+    opened(page, folder / "check.html", width)
+    boxes = "[...document.querySelectorAll('.scroll, pre')]"
+    assert page.value(f"{boxes}.length") >= 3
+    assert page.value(f"{boxes}.filter(e => e.scrollWidth > e.clientWidth).map(e => e.textContent)") == []
 
 
 @pytest.mark.parametrize("width", [400, 1400])

@@ -136,7 +136,7 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
             if not shown[0].x_label:
                 axes.set(xticks=[], xlim=(0.5, len(shown) + 0.5))
         letter(left, 0)
-        letter(right, 1, "grey: tolerance" + f"; {LEAST_SHARE:g} or less at the bottom" * far)
+        letter(right, 1, "grey: allowed" + f"; bottom: up to {LEAST_SHARE:g}" * far)
         legend_above(figure, entries)
     return figure
 

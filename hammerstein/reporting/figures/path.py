@@ -158,7 +158,7 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
     rows = [(part, 0) for part in parts] if len(parts) > 1 else [(parts[0], k) for k in range(len(labels))]
     with styled():
         high, wide = (len(rows), len(groups)) if len(groups) > 1 else side_by_side(len(rows))
-        figure = new_figure(0.8 + 1.6 * high, wide)
+        figure = new_figure(0.8 + (1.6 if high > 1 else 2.4) * high, wide)
         shared: Any = "all" if len(parts) > 1 else "row" if len(groups) > 1 else False
         grid = figure.subplots(high, wide, squeeze=False, sharey=shared)
         for axes in grid.flat[len(rows) * len(groups) :]:

@@ -36,7 +36,7 @@ BEHIND = {"color": "#cccccc", "linewidth": 0.8, "zorder": 0.5}
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
 """Two bands that lie over each other stay apart."""
-STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 10, "markeredgecolor": "white"}
+STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 13, "markeredgecolor": "white"}
 NOMINAL_WIDTH = 0.5
 """Thin, as the band is what counts."""
 BAR_WIDTH = 2.5

@@ -142,9 +142,7 @@ class Manifest:
             return
         listed = ", ".join(found[:5]) + (f" and {len(found) - 5} more" if len(found) > 5 else "")
         kind = "" if overwrite else ", or give --overwrite"
-        was = (
-            f"this command did not write it and would overwrite it; move it away, choose another place{kind}"
-        )
+        was = f"this command did not write; move it away, choose another place{kind}"
         if option:
             raise InputError(option, f"{self.folder / listed} is a file that {was}")
         raise InputError(str(self.folder), f"holds {listed}, which {was}")
