@@ -86,7 +86,7 @@ def stage_records(file: Path) -> tuple[Record, ...]:
 def micromanipulator(folder: Path) -> Iterator[str]:
     """One axis, with and without its delay, and by the closed form."""
     records, held = (stage_records(folder / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
-    cases = (
+    cases: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         ("micromanipulator", "`invertible`, delay found", "0.85, validation 1.2", {}),
         ("", "`invertible`, no delay", "0.85, validation 1.4", {"delay_samples": 0}),
         ("", "`closed_form` (paper), delay found", "validation 1.4", {"solver": "closed_form"}),
@@ -176,7 +176,10 @@ def comparisons(folder: Path) -> Iterator[str]:
     stage = folder / "dbo_piezo_micromanipulator"
     records, held = (stage_records(stage / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
     found = compare(records, Settings(), validation=held)
-    write_comparison(found, HERE / "compared" / "micromanipulator", overwrite=True, models=False)
+    page = HERE / "compared" / "micromanipulator"
+    write_comparison(found, page, overwrite=True)
+    for entry in found.entries:
+        (page / entry.file).unlink()
     yield compared("[micromanipulator](micromanipulator/compare.md)", found)
     for level in MIRROR_MV:
         mirror = folder / "cubespec_fsm"

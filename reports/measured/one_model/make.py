@@ -18,6 +18,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -110,20 +111,20 @@ def cost_us(model: HammersteinModel) -> float:
         begun = time.perf_counter()
         block.respond(u)
         times.append(time.perf_counter() - begun)
-    return 1e6 * min(times[1:]) / u.shape[1]
+    return float(1e6 * min(times[1:]) / u.shape[1])
 
 
-def table(found: dict[str, dict[str, list[object]]]) -> str:
+def table(found: dict[str, dict[str, list[Any]]]) -> str:
     """Lines of the benchmark's table and of what remains in each band."""
     head = ["| rms [um] | 100 mV | 200 mV | 300 mV |", "| --- | ---: | ---: | ---: |"]
     rows = {f"published: {name}": list(values) for name, values in PUBLISHED.items()}
-    rows["**this model, test records**"] = found["test"]["rms_um"]  # type: ignore[assignment]
-    rows["this model, training records"] = found["train"]["rms_um"]  # type: ignore[assignment]
-    rows["noise of one period, test records"] = found["test"]["noise_um"]  # type: ignore[assignment]
-    rows["rms of the test positions"] = found["test"]["position_rms_um"]  # type: ignore[assignment]
+    rows["**this model, test records**"] = found["test"]["rms_um"]
+    rows["this model, training records"] = found["train"]["rms_um"]
+    rows["noise of one period, test records"] = found["test"]["noise_um"]
+    rows["rms of the test positions"] = found["test"]["position_rms_um"]
     lines = [f"| {name} | {' | '.join(f'{v:.3f}' for v in values)} |" for name, values in rows.items()]
     edges = itertools.pairwise(BANDS_HZ)
-    each = zip(edges, *found["test"]["bands_um"], strict=True)  # type: ignore[call-overload]
+    each = zip(edges, *found["test"]["bands_um"], strict=True)
     over = [
         f"| {low} to {high} | {' | '.join(f'{v:.3f}' for v in values)} |" for (low, high), *values in each
     ]

@@ -14,7 +14,6 @@ import csv
 import functools
 import itertools
 import os
-import sys
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -82,9 +81,9 @@ def grid(dampings: Iterable[float]) -> list[Reading]:
     """Every combination with these dampings."""
     plants = [(None, 0.0), *itertools.product(READINGS, dampings)]
     return [
-        Reading(*plant, *rest)
+        Reading(*plant, lag, passes, at_path)
         for plant in plants
-        for rest in itertools.product((True, False), PASSES, (False, True))
+        for lag, passes, at_path in itertools.product((True, False), PASSES, (False, True))
     ]
 
 
@@ -215,4 +214,4 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
