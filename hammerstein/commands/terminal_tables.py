@@ -33,10 +33,6 @@ RECOMMENDED = "*"
 _LEFT = 3  # the first columns hold words
 
 
-LOOP_FILE_WIDTH = 14
-"""Of the names of files in the table of loops; longer ones are folded."""
-
-
 def _table(title: str, columns: Sequence[str]) -> Table:
     from rich import box
     from rich.table import Table
@@ -190,14 +186,15 @@ def gains_table(gains: Sequence[Gain]) -> Table:
 def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
     """One line a loop of a measured record, in 80 columns; --json has start and area too."""
     numbers = ("swing\nV", "height\num", "width\num", "width\n%", "closure\num", "drift\num", "settled")
-    table = _table("Loops", ("file", "input", "output", *numbers))
+    alone = "" if len(found) > 1 else f" of {Path(next(iter(found))).name}"
+    table = _table(f"Loops{alone}", ("" if alone else "file", "input", "output", *numbers))
     table.padding = 0
-    table.columns[0].max_width = LOOP_FILE_WIDTH
+    table.columns[0].max_width = 14  # longer names are folded
     for source, loops in found.items():
         for loop in loops:
             size = (2.0 * loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent)
             table.add_row(
-                Path(source).name,
+                "" if alone else Path(source).name,
                 loop.input,
                 loop.output + (" (minor)" if loop.minor else ""),
                 *(f"{round(number, 4) + 0.0:.4g}" for number in (*size, loop.closure_um, loop.drift_um)),

@@ -90,10 +90,9 @@ def left_by(one: Fitted, law: Inverse, other: Fitted, records: Sequence[Record])
             held.append(at_range)
     except HammersteinError as error:
         return Left(law.options.law, other.name, reason=str(error))
-    rms = np.sqrt(np.mean(np.hstack(errors) ** 2, axis=1))
-    percent = 100.0 * rms / np.max(spans, axis=0)
-    at_range_percent = 100.0 * float(np.mean(np.concatenate(held)))
-    return Left(law.options.law, other.name, float(percent.mean()), at_range_percent)
+    percent = 100.0 * np.sqrt(np.mean(np.hstack(errors) ** 2, axis=1)) / np.max(spans, axis=0)
+    at_range = float(np.mean(np.concatenate(held)))
+    return Left(law.options.law, other.name, float(percent.mean()), 100.0 * at_range)
 
 
 def _played(

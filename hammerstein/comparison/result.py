@@ -53,6 +53,11 @@ class Left:
     at_range_percent: float | None = None
     reason: str = ""
 
+    @property
+    def words(self) -> str:
+        """The error for a table; ``plant`` for the model that replaces the actuator."""
+        return f"{self.percent:.3g}" if self.percent is not None else "none" if self.on else "plant"
+
 
 @dataclass(frozen=True)
 class Unseen:

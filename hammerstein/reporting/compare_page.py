@@ -96,7 +96,7 @@ def cells(entry: Compared) -> list[str]:
         "" if entry.held is None else f"{entry.held.mean_percent:.3g}",
         "yes" if entry.as_good else "no",
         "yes" if entry.has_inverse else "no",
-        "none" if entry.left.percent is None else f"{entry.left.percent:.3g}",
+        entry.left.words if entry.left.law else "none",
     ]
 
 

@@ -100,6 +100,7 @@ def test_a_compensator_is_played_on_another_kind_and_leaves_what_theory_says(
     for entry in found.entries:
         if entry.name == found.best:
             assert entry.left.reason == "this model replaces the actuator"
+            assert entry.left.words == "plant"
             continue
         assert entry.left.percent is not None, entry.left.reason
         assert entry.left.on == found.best  # one and the same, or the figures could not be compared
