@@ -126,6 +126,17 @@ def test_every_law_begins_at_its_start_and_steps_as_it_responds(name):
     np.testing.assert_array_equal(np.array(steps).T, whole)
 
 
+@pytest.mark.parametrize("conditioned", [False, True])
+@pytest.mark.parametrize("rest", [REST, np.array([50.0, 60.0])])
+@pytest.mark.parametrize("name", list(LAWS))
+def test_every_law_stands_still_whichever_way_its_start_was_reached(name, rest, conditioned):
+    """From below or above, and on either side of the working point: nothing asks for a jump."""
+    start = [40.0, 55.0]
+    limits = DriveRange.of([(0.0, 60.0), (-20.0, 70.0)], model_of(rest=rest), start, conditioned)
+    still, _ = LAWS[name](model_of(rest=rest), limits).respond(np.zeros((2, 3)))
+    np.testing.assert_allclose(still, np.repeat(np.array(start)[:, None], 3, axis=1), atol=1e-9)
+
+
 def test_after_the_range_cut_the_memory_is_still_that_of_the_actuator():
     """What an input at an end of its range cannot do is missed; afterwards the path is met again exactly."""
     for rest in (REST, np.array([100.0, 120.0])):

@@ -166,6 +166,23 @@ def test_computed_gains_keep_the_sensitivity(derivative):
     assert 1.4 < peak < 1.6 * 1.01
 
 
+@pytest.mark.parametrize("sample_time_s", [T, 0.5 * T])
+def test_the_controller_is_pid_in_time(model, sample_time_s):
+    """Proportional to the error, to its integral and to its derivative; gains do not know the sample time."""
+    kp, ki, kd = np.array([0.3, 0.1]), np.array([40.0, 70.0]), np.array([2e-4, 1e-4])
+    law = FeedbackController(model, 10.0, sample_time_s, gains=Gains(kp, ki, kd))
+    error = 0.5 * np.random.default_rng(0).normal(size=(20, 2))
+    integral = sample_time_s * error.cumsum(axis=0)
+    derivative = np.diff(error, axis=0, prepend=0.0) / sample_time_s
+    expected = (kp * error + ki * integral + kd * derivative) @ law.inverse_gain_v_per_um.T
+    state, found = law.rest(), []
+    for wanted in error:
+        asked, state = law.step(wanted, np.zeros(2), state)
+        found.append(asked)
+    assert np.abs(expected).max() < 10.0  # nothing is cut off
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("damping", [0.12, 1e-3, 1e-6])
 def test_the_loop_gain_is_1_at_the_frequency_that_is_stated(damping):
     """Loop gain from python-control alone; loops of hardly damped stages were said to cross at 0 Hz."""

@@ -275,6 +275,15 @@ def test_an_unstable_loop_is_refused_unless_it_is_meant():
     assert model(allowed).dynamics.instability() == ""
 
 
+@pytest.mark.parametrize("radius", [0.999, 1.001, 1.5])
+def test_poles_of_a_discrete_loop_belong_inside_the_unit_circle(radius):
+    """Where nothing comes back from the hysteresis they are those of A."""
+    rows = matrices()
+    alone = {"A": rows["A"] * radius / np.abs(np.linalg.eigvals(rows["A"])).max(), "E": 0.0 * rows["E"]}
+    told = discrete(**alone).instability()
+    assert (f"a pole is {radius - 1.0:.3g} beyond" in told) if radius > 1.0 else told == ""
+
+
 def test_resonance_follows_the_amplitude():
     """An oscillator with a play as a spring: its resonance is that of the describing function.
 

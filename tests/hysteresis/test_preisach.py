@@ -170,6 +170,17 @@ def test_determinants_of_the_outermost_slopes_bound_those_of_all(seed, rows):
     assert found.max() <= ends.max() + 1e-9
 
 
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_outermost_columns_reach_as_far_as_all_in_every_direction(rows):
+    """That is what the corners of a convex hull are; and they are columns that were given."""
+    generator = np.random.default_rng(rows)
+    columns = generator.exponential(size=(40, rows))
+    corners = outermost(columns)
+    directions = generator.normal(size=(rows, 100))
+    np.testing.assert_array_equal((corners @ directions).max(axis=0), (columns @ directions).max(axis=0))
+    assert {*map(tuple, corners)} <= {*map(tuple, columns)}
+
+
 @dataclass(frozen=True, eq=False)
 class TwoSlopes(Hysteresis):
     """A kind of somebody else that knows its slopes and has no rule for its inverse."""

@@ -14,7 +14,7 @@ import hammerstein
 from hammerstein.commands.cli import app
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import IdentificationError
-from hammerstein.hysteresis import BoucWen
+from hammerstein.hysteresis import BoucWen, BoucWenPair
 from hammerstein.hysteresis.bouc_wen_kernels import FEW, LONGEST, lagging
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
@@ -110,6 +110,18 @@ def test_of_two_axes_the_slopes_of_one_are_held_and_the_other_is_as_it_was():
     low, held = (min(fit.hysteresis.pairs[0][0].slopes_um_per_v) for fit in (free, bound))
     assert low < 0.0 < held
     np.testing.assert_allclose(numbers(bound.hysteresis)[0][1], d[1], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("load", "share", "told"),
+    [(0.3, 0.5, ()), (1e-9, 0.5, (0,)), (1e9, 0.5, (0,)), (0.3, 1e-9, (1,)), (0.3, 1e9, (1,))],
+)
+def test_a_number_at_either_of_its_limits_is_told(load, share, told):
+    """Numbers beyond what records can show are put to the nearer limit, where they say nothing."""
+    u = voltages(500)[0][:1]
+    record = Record(u, theory.bouc_wen(u, [[14.0]], [[4.0]], [[0.25]], [[0.1]]), T)
+    begin = BoucWen([[BoucWenPair(14.0, 4.0, share * load, (1.0 - share) * load)]])
+    assert fit_kind("bouc_wen", [record], like=begin, refined=False).at_limit == told
 
 
 def test_an_input_that_never_moves_is_refused():

@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+import theory
 from scipy.signal import lfilter
 
 from hammerstein.errors import IdentificationError
+from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.creep import fit_creep
+from hammerstein.identification.settings import Settings
+from hammerstein.records.record import Record
 
 T = 0.1
 STEPS_UM = np.repeat([0.0, 10.0, -5.0, 20.0, 0.0], 600)
@@ -40,3 +44,23 @@ def test_modes_that_all_end_at_one_time_are_refused():
     v = np.repeat([0.0, 10.0], [5, 2995])
     with pytest.raises(IdentificationError, match="does not identify 2 creep modes"):
         fit_creep(v, late(v) + 0.002 * np.arange(3000), T, 2)
+
+
+@pytest.mark.parametrize("dynamics", ["lag", "auto"])
+def test_creep_is_tried_behind_plays_that_nothing_else_delays(dynamics):
+    """Without it no dynamics lower the error."""
+    r, w = np.array([0.0, 1.0, 3.0, 6.0]), np.array([3.0, 0.4, 0.5, 0.6])
+    generator, records = np.random.default_rng(0), []
+    for hz, seconds in ((0.01, 300.0), (0.04, 200.0)):
+        t = T * np.arange(round(seconds / T))
+        size = 10.0 * np.interp(t, [0.0, 0.6 * seconds, seconds], [1.0, 0.3, 0.8])
+        u = np.append(size * np.sin(2.0 * np.pi * hz * t), np.full(1500, 6.0))[None]
+        [v] = theory.prandtl_ishlinskii(u, [[r]], [[w]])
+        y = v + 0.05 * slow(v, 30.0) + 0.01 * generator.standard_normal(v.size)
+        records.append(Record(u, [y], T))
+    given = Settings(thresholds_v=r, dynamics=dynamics, delay_samples=0, error_curve=False, start="rest")
+    [axis] = identify(records, given)[0].dynamics.axes
+    assert axis.lag_s is None
+    assert [(mode.gain, mode.time_constant_s) for mode in axis.creep] == [
+        (pytest.approx(0.05, rel=0.02), pytest.approx(30.0, rel=0.05))
+    ]

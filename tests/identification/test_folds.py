@@ -29,6 +29,14 @@ def test_one_part_leaves_nothing_to_choose_by():
         folds(1)
 
 
+@pytest.mark.parametrize("parts", [2, 3])
+def test_a_fold_that_no_record_has_is_not_judged(parts):
+    """The others hold every sample, and each is predicted once."""
+    x, _, found = folds(parts)
+    _, counted = left_out([found], lambda m: np.zeros(len(m.gram)))
+    assert counted == x.shape[1]
+
+
 def test_what_is_left_out_is_judged_with_the_coefficients_of_the_rest():
     """Sample by sample, each fold about its own mean."""
     samples, parts = 96, 16

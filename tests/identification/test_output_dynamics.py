@@ -356,3 +356,16 @@ def test_creep_goes_on_the_way_of_the_displacement():
     )
     fit = fit_axis(task, np.array([np.log(1e-3), 0.02, np.log(0.1)]))
     assert 0.0 <= fit.axis.creep[0].gain <= 1.0
+
+
+def test_creep_goes_no_farther_than_the_fast_displacement():
+    """What creeps by 1.6 times as much is none of a piezo: the mode stays at its limit."""
+    t = T * np.arange(10_000)
+    u = np.where(t < 0.5, 5.0, 5.0 * np.cos(20.0 * np.pi * (t - 0.5)))[None]
+    far = AxesDynamics(axes=(Axis(creep=(CreepMode(gain=1.6, time_constant_s=0.1),)),))
+    y = discretise(far, T).respond(static_um("asymmetric", u))[0]
+    task = AxisTask(
+        (Record(u, y, T),), (InitialState("rest"),), (R,), 0, AxisShape(False, False, 1), 0.0, SensorModel()
+    )
+    fit = fit_axis(task, np.array([0.5, np.log(0.1)]))
+    assert fit.axis.creep[0].gain == 1.0

@@ -26,6 +26,7 @@ from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
+from hammerstein.identification.task import Task
 from hammerstein.identification.verdict import axis_statements
 from hammerstein.records.record import Record
 from hammerstein.signals import Multisine, Sine
@@ -378,6 +379,25 @@ def test_a_sine_and_a_slow_multisine_tell_a_resonance_whatever_its_phases(seed):
     fit = fit_axis(task, np.log([270.0, 0.1]))
     assert fit.axis.resonance_hz == pytest.approx(280.0, rel=0.01)
     assert fit.identified
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+@pytest.mark.parametrize(("part", "late"), [(0.97, True), (0.99, False), (1.01, False)])
+def test_a_delay_that_lowers_no_error_by_two_percent_is_left_out(monkeypatch, outputs, part, late):
+    """Each of the outputs by so much, or one for another."""
+
+    def built(task, guesses):
+        delay = guesses[0].delay_samples
+        rms_um = np.full(outputs, part if delay else 1.0) * [2.0, 0.5][:outputs]
+        blocks = SimpleNamespace(chosen=SimpleNamespace(rms_um=rms_um))
+        return SimpleNamespace(best=SimpleNamespace(blocks=blocks), delay=delay)
+
+    monkeypatch.setattr(axes_candidates, "_built_with", built)
+    u = np.sin(np.arange(100.0) / 9.0)
+    record = Record([u], [u] * outputs, T)
+    task = Task((record,), (InitialState("rest"),), [[R]] * outputs, 1.0, Settings(), lambda _: None)
+    guesses = [FirstGuess((AxisShape(),) * outputs, (np.zeros(2),) * outputs, 1.0)]
+    assert bool(axes_candidates.build_axes(task, guesses).delay) == late
 
 
 def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch):

@@ -24,6 +24,7 @@ from hammerstein.identification.static.normal_equations import (
 from hammerstein.identification.static.regressors import (
     InitialState,
     PlayColumns,
+    Regressors,
     SideBySide,
     channel,
     regressor_blocks,
@@ -409,10 +410,31 @@ def test_plays_that_are_kept_can_be_gone_through_again(kind):
             assert sum(x.shape[1] for x in kept.before) == len(before)
 
 
+@pytest.mark.parametrize("with_derivatives", [False, True])
+def test_a_step_that_was_held_before_the_record_is_a_longer_record(with_derivatives):
+    """Cut after some samples at one voltage, which the actuator had stepped to, it begins where it was."""
+    u, grids, held = random_walk(np.random.default_rng(3), 2, 60), [np.array([0.0, 0.5, 3.0])] * 2, 4
+    whole = np.hstack([np.repeat(u[:, :1], held, axis=1), u])
+    turns = ((4.0, 4.0), (-1.0, -1.0))
+    cut = PlayColumns.of(u, InitialState("stepped", 0, turns, held), grids, with_derivatives)
+    plain = PlayColumns.of(whole, InitialState("stepped", 0, turns), grids, with_derivatives)
+    found = [*cut.before, *(x for _, x in cut.counted)]
+    np.testing.assert_array_equal(np.hstack(found), np.hstack([x for _, x in plain.counted]))
+
+
 def test_a_column_of_rounding_errors_takes_no_part():
     """Its own product can come out below zero: no number is lost for that (it was NaN)."""
     gram, cross = np.array([[4.0, 0.0], [0.0, -1e-17]]), np.array([2.0, 0.0])
     np.testing.assert_array_equal(coefficients(gram, cross), [0.5, 0.0])
+
+
+@pytest.mark.parametrize("delay", [0, 1, 7])
+def test_a_period_that_repeats_comes_as_late_as_the_delay_from_its_end(delay):
+    """No sample of it knows what was before the record: the period was."""
+    columns = np.random.default_rng(0).normal(size=(3, 40))
+    [(first, rows)] = Regressors(columns, np.full(3, 9.0)).blocks(InitialState("repeated"), delay, [])
+    assert first == 0
+    np.testing.assert_array_equal(rows, np.roll(columns, delay, axis=1))
 
 
 @pytest.mark.parametrize("seed", range(100))

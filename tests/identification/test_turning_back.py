@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hammerstein.identification.residual_analysis import turning_back_flags
+from hammerstein.identification.residual_analysis import butterfly_flags, turning_back_flags
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
 
@@ -23,3 +23,14 @@ def test_an_output_that_returns_is_told_whatever_the_unit_and_the_direction(unit
     straight = SimpleNamespace(predict=lambda one, _: sign * one.u_v / unit)
     flags = turning_back_flags(straight, [record], [InitialState("rest")], [(0, 0)])
     assert bool(flags) == (slope < 0.0)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 30.0])
+@pytest.mark.parametrize("rise", [-0.51, -0.49, 0.49, 0.51, 1.0])
+def test_a_loop_rises_if_its_tips_are_half_its_range_apart(unit, rise):
+    """Level about both tips; between them it reaches one end of its range."""
+    y = np.interp(U, [-8.9, 0.0, 8.9], [0.0, np.sign(rise), rise])
+    record = Record([unit * U], [unit * y], 1e-3, verified=True)  # level, as if it were clipped
+    flags = butterfly_flags([record], [(0, 0)])
+    assert bool(flags) == (abs(rise) < 0.5)
+    assert all("its tips differ by only 49 % of the range" in flag for flag in flags)

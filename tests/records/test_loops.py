@@ -187,6 +187,14 @@ def test_biased_loop_with_asymmetric_branches():
     assert bent.settled
 
 
+def test_a_straight_line_has_no_area_though_its_samples_miss_the_tips():
+    """Its polygon is closed by itself, wherever it ends."""
+    u = np.interp(np.arange(95) / 23.7 % 1.0, [0.0, 0.25, 0.75, 1.0], [0.0, 10.0, -10.0, 0.0])
+    loops = loop_table(record(u, 5.0 * u))
+    assert max(abs(u[loop.stop] - u[loop.start]) for loop in loops) > 0.1
+    np.testing.assert_allclose([loop.area_v_um for loop in loops], 0.0, atol=1e-9)
+
+
 def test_leading_output_has_negative_area_and_width():
     u = sine(3)
     x = respond(u)

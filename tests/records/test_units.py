@@ -233,6 +233,13 @@ def test_what_follows_a_voltage_or_is_noise_does_not_jump(u, y):
     assert doubtful_jumps([Record([u], [y], 1e-3)]) == []
 
 
+def test_a_jump_counts_beside_the_output_that_moves_most():
+    """A tenth of the motion may be a slip; an output that hardly moves makes it no more doubtful."""
+    slipped = MOVED + 0.1 * np.ptp(MOVED) * (STEADY >= 2.5)
+    for outputs in ([slipped], [slipped, 0.01 * DRIVEN]):
+        assert doubtful_jumps([Record([DRIVEN], outputs, 1e-3)]) == []
+
+
 def test_a_jump_that_is_accepted_is_fitted(tmp_path):
     """No fitted threshold has a slope that was measured, as those of the jump are far steeper."""
     _written(tmp_path / "r.csv", "t_s,u_v,y_um", STEADY, DRIVEN, MOVED + 500.0 * (STEADY >= 2.5))
