@@ -29,7 +29,7 @@ from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slope
 from hammerstein.hysteresis.kind import slopes_of
 from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_search import thinning
-from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, ByColumn, axis_of, parameters_of
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, parameters_of
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import bends_of, columns_of
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
@@ -43,7 +43,7 @@ from hammerstein.identification.static.normal_equations import (
     ridge_penalty,
     solve,
 )
-from hammerstein.identification.static.regressors import Regressors, SideBySide
+from hammerstein.identification.static.regressors import Filter, Regressors, SideBySide
 from hammerstein.identification.static.static_block import LEAST_SLOPE, direct_pairs
 from hammerstein.identification.task import Task
 
@@ -319,7 +319,7 @@ class _Search:
 
 def _moments(one: AxisTask, x: Array) -> Moments:
     """Moments of the columns behind the axis."""
-    return one.moments(lambda time: [SideBySide(one.path(x, time))], one.columns)
+    return one.moments(lambda time: [SideBySide(one.path(x, time), one.columns)], one.columns)
 
 
 def _first(moments: Moments, n: int) -> Moments:
@@ -333,9 +333,9 @@ def _derived(one: AxisTask, x: Array, weights: Array) -> Moments:
     whole = one.columns
     padded = np.append(weights, np.zeros(whole - len(weights)))
 
-    def filters(time: float) -> list[ByColumn]:
+    def filters(time: float) -> list[Filter]:
         more = [one.derivatives(x, padded, time)] if len(x) else []
-        return [SideBySide(one.path(x, time)), *more]
+        return [SideBySide(one.path(x, time), whole), *more]
 
     return one.moments(filters, whole + len(x))
 

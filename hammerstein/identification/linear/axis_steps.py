@@ -26,10 +26,10 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
-from hammerstein.identification.linear.axis_task import AxisTask, ByColumn, OfSum
+from hammerstein.identification.linear.axis_task import AxisTask, OfSum
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
-from hammerstein.identification.static.regressors import SideBySide
+from hammerstein.identification.static.regressors import Filter, SideBySide
 
 SMALLEST_CHANGE = 1e-6  # of a logarithm, below which a search stands
 MOST_STEPS = 25  # a search that has not arrived is given up
@@ -94,7 +94,7 @@ def rms_behind(task: AxisTask, x: Array) -> float:
 
 def fit_slopes(task: AxisTask, path: Callable[[float], LinearBlock]) -> tuple[Array, float]:
     """Slopes behind a fixed path, and the rms error."""
-    moments = task.moments(lambda time: [SideBySide(path(time))], task.columns)
+    moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
     cross = moments.cross[:, 0]
     slopes = coefficients(moments.gram, cross)
     left = squares_left(moments.gram, cross, float(moments.power[0]), slopes)
@@ -105,9 +105,9 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
     """Best slopes at x, and the Gauss-Newton step from slopes that were best near by."""
     n, q = task.columns, len(x)
 
-    def filters(time: float) -> list[ByColumn]:
+    def filters(time: float) -> list[Filter]:
         moved = task.derivatives(x, slopes, time)
-        return [SideBySide(moved.paths[0]), moved]
+        return [SideBySide(moved.paths[0], n), moved]
 
     moments = task.moments(filters, n + q)
     cross = moments.cross[:, 0]

@@ -32,6 +32,9 @@ MOST_KEPT = 4_000_000
 class Filter(Protocol):
     """A linear block that columns pass, with its memory outside."""
 
+    def rest(self) -> NDArray[Any]:
+        """State of a block that was never driven."""
+
     def settled(self, columns: Array) -> NDArray[Any]:
         """State of a block that was held at ``columns`` (column,) for ever."""
 
@@ -148,13 +151,10 @@ class PlayColumns(NamedTuple):
         before = tuple(self.before)
         return PlayColumns(self.held, before, tuple(self.counted))
 
-    def moving(self) -> tuple[NDArray[np.intp], PlayColumns]:
-        """Numbers of the columns that are not zero all the time, and these alone, in memory."""
-        before, counted = list(self.before), list(self.counted)
-        parts = [*before, *(x for _, x in counted)]
-        own = np.flatnonzero(np.any([x.any(axis=1) for x in parts], axis=0) | (self.held != 0.0))
-        before, counted = [x[own] for x in before], [(k, x[own]) for k, x in counted]
-        return own, PlayColumns(self.held[own], before, counted)
+    def moves(self) -> NDArray[np.bool_]:
+        """Columns (column,) that are not always zero; only for kept columns."""
+        parts = [*self.before, *(x for _, x in self.counted)]
+        return np.asarray(np.any([x.any(axis=1) for x in parts], axis=0) | (self.held != 0.0))
 
 
 def behind_filters(
@@ -206,10 +206,9 @@ class Regressors:
         return cls(values, rows @ _held(plays, None))
 
     @cached_property
-    def moving(self) -> tuple[NDArray[np.intp], Regressors]:
-        """Numbers of the columns that are not zero all the time, and these alone."""
-        own = np.flatnonzero(self.values.any(axis=1) | (self.held != 0.0))
-        return own, Regressors(self.values[own], self.held[own])
+    def moves(self) -> NDArray[np.bool_]:
+        """Columns (column,) that are not zero all the time."""
+        return np.asarray(self.values.any(axis=1) | (self.held != 0.0))
 
     def blocks(
         self, start: InitialState, delay_samples: int, filters: Sequence[Filter]
@@ -310,11 +309,16 @@ class SideBySide:
     """Copies of a path with one input and one output, one for each column."""
 
     path: LinearBlock
+    copies: int
+
+    def rest(self) -> Array:
+        """State (copy, state) of paths that were never driven."""
+        return np.zeros((self.copies, len(self.path.A)))
 
     def settled(self, columns: Array) -> Array:
         """State (copy, state) of paths that were held at their column for ever."""
         if not columns.any():
-            return np.zeros((len(columns), len(self.path.A)))
+            return self.rest()
         return np.outer(columns, self._of_one)
 
     @cached_property
