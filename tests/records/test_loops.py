@@ -557,19 +557,22 @@ def test_a_clock_that_jitters_has_no_gaps():
     assert "gap of" in mistake.what
 
 
-def test_the_table_of_loops_fits_80_columns(tmp_path, capsys, monkeypatch):
-    """Also for a long file name, a minor loop and numbers of many digits."""
+@pytest.mark.parametrize("parts", [("morning",), ("morning", "evening")])
+def test_the_table_of_loops_fits_80_columns(tmp_path, capsys, monkeypatch, parts):
+    """Also for long file names, a minor loop and numbers of many digits; a single file is in the title."""
     monkeypatch.setenv("COLUMNS", "300")
     t = np.arange(4000) / 4000
     u = 10.0 * np.sin(2.0 * np.pi * 4.0 * t) * np.where(t < 0.75, 1.0, 0.123)
     y = 123.456 * u + 1e-4 * np.cos(2.0 * np.pi * t)
-    path = tmp_path / "record_of_a_long_morning.csv"
-    np.savetxt(path, np.stack([t, u, y], axis=1), delimiter=",", header="time_s,u_x,x", comments="")
+    paths = [tmp_path / f"record_of_a_long_{part}.csv" for part in parts]
+    for k, path in enumerate(paths, start=1):
+        table = np.stack([t, u, k * y], axis=1)
+        np.savetxt(path, table, delimiter=",", header="time_s,u_x,x", comments="")
     with pytest.raises(SystemExit) as caught:
         main(
             [
                 "loops",
-                str(path),
+                *map(str, paths),
                 "--inputs",
                 "u_x",
                 "--outputs",
@@ -589,4 +592,6 @@ def test_the_table_of_loops_fits_80_columns(tmp_path, capsys, monkeypatch):
     assert rows
     table = lines[: rows[-1] + 1]
     assert [line for line in table if len(line.rstrip()) > 80] == []
-    assert {lines[k].split()[3] for k in rows if "minor" not in lines[k]} == {"20"}  # from -10 to 10 V
+    swing = 3 if len(parts) > 1 else 2
+    assert {lines[k].split()[swing] for k in rows if "minor" not in lines[k]} == {"20"}  # from -10 to 10 V
+    assert (lines[0].strip() == "Loops of record_of_a_long_morning.csv") == (len(parts) == 1)
