@@ -319,7 +319,7 @@ class _Search:
 
 def _moments(one: AxisTask, x: Array) -> Moments:
     """Moments of the columns behind the axis."""
-    return one.moments(lambda time: [SideBySide(one.path(x, time), one.columns)], one.columns)
+    return one.moments(lambda time: [SideBySide(one.path(x, time))], one.columns)
 
 
 def _first(moments: Moments, n: int) -> Moments:
@@ -335,7 +335,7 @@ def _derived(one: AxisTask, x: Array, weights: Array) -> Moments:
 
     def filters(time: float) -> list[Filter]:
         more = [one.derivatives(x, padded, time)] if len(x) else []
-        return [SideBySide(one.path(x, time), whole), *more]
+        return [SideBySide(one.path(x, time)), *more]
 
     return one.moments(filters, whole + len(x))
 

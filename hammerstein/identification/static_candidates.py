@@ -11,8 +11,10 @@ from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.delay import best_delay
+from hammerstein.identification.model_selection import lowers
 from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.score import invertibility_of
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
 from hammerstein.identification.static.initial_state import closed, shortened
 from hammerstein.identification.static.regressors import InitialState
@@ -30,7 +32,6 @@ from hammerstein.identification.static.static_block import (
 )
 from hammerstein.identification.static.threshold_search import ThresholdTask
 from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
-from hammerstein.records.record import Record
 
 MOST_ROUNDS = 8
 """Most rounds of a fit of thresholds."""
@@ -68,11 +69,16 @@ def finished_static(task: Task, built: CandidateSet) -> CandidateSet:
         return built
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the thresholds")
-    thresholds_v = fitted_thresholds(task, task.thresholds_v, dynamics)
+    thresholds_v, prompt = fitted_thresholds(task, task.thresholds_v, dynamics), task
     late = late_static(replace(task, thresholds_v=thresholds_v))
     if late.delay_samples != task.delay_samples:
-        task, thresholds_v = late, fitted_thresholds(late, thresholds_v, dynamics)
+        prompt, task = replace(task, delay_samples=0.0), replace(task, delay_samples=late.delay_samples)
+        thresholds_v = fitted_thresholds(task, thresholds_v, dynamics)
     blocks = of_fitted(task, thresholds_v, dynamics)
+    if prompt is not task:  # thresholds fitted with a wrong delay end at wrong places, on ramps with any
+        other = of_fitted(prompt, fitted_thresholds(prompt, task.thresholds_v, dynamics), dynamics)
+        if lowers(*(float(one.chosen.rms_um.mean()) for one in (other, blocks))):
+            task, blocks = prompt, other
     begun = built.best.blocks
     if not gained(begun.chosen, blocks.chosen) or lost_inverse(task, begun, blocks):
         return replace(built, notes=(KEPT,) if task.settings.partition == "fitted" else ())
@@ -117,27 +123,14 @@ def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solv
 
 def _closed_form(task: Task, free: StaticFit) -> StaticFit:
     """Closed form on the settled loops, brought forward by the delay."""
-    settings = task.settings
     d = task.whole_delay
-    prompt = [
-        Record(
-            record.u_v[:, : record.samples - d],
-            record.y_um[:, d:],
-            record.sample_time_s,
-            record.inputs,
-            record.outputs,
-            record.source,
-            verified=True,
-        )
-        for record in task.records
-    ]
-    placed = settings.thresholds_v is not None or settings.partition == "voltage"
+    prompt = [SensorModel(delay_s=d * record.sample_time_s).prompt(record) for record in task.records]
+    placed = task.settings.thresholds_v is not None or task.settings.partition == "voltage"
     given = task.thresholds_v if placed else None
     counts = {len(r) for row in task.thresholds_v for r in row}
     if given is None and len(counts) > 1:
         raise IdentificationError("the closed form places one number of thresholds; give one, or thresholds")
-    hysteresis = closed_form_model(prompt, max(counts), given)
-    return replace(free, hysteresis=hysteresis, bounded=(), open=())
+    return replace(free, hysteresis=closed_form_model(prompt, max(counts), given), bounded=(), open=())
 
 
 def without_dynamics(task: Task) -> Task:

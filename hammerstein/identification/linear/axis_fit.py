@@ -173,7 +173,7 @@ def standard_errors(task: AxisTask, point: Point) -> Array:
     for i, (record, error) in enumerate(zip(task.records, left, strict=True)):
         time = record.sample_time_s
         filters: list[Filter] = [
-            SideBySide(path(time), n),
+            SideBySide(path(time)),
             task.derivatives(point.x, point.slopes, time),
         ]
         moves = np.hstack([x[n:] - point.drag.T @ x[:n] for _, x in task.blocks(i, filters)])

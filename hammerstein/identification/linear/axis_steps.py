@@ -94,7 +94,7 @@ def rms_behind(task: AxisTask, x: Array) -> float:
 
 def fit_slopes(task: AxisTask, path: Callable[[float], LinearBlock]) -> tuple[Array, float]:
     """Slopes behind a fixed path, and the rms error."""
-    moments = task.moments(lambda time: [SideBySide(path(time), task.columns)], task.columns)
+    moments = task.moments(lambda time: [SideBySide(path(time))], task.columns)
     cross = moments.cross[:, 0]
     slopes = coefficients(moments.gram, cross)
     left = squares_left(moments.gram, cross, float(moments.power[0]), slopes)
@@ -107,7 +107,7 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
 
     def filters(time: float) -> list[Filter]:
         moved = task.derivatives(x, slopes, time)
-        return [SideBySide(moved.paths[0], n), moved]
+        return [SideBySide(moved.paths[0]), moved]
 
     moments = task.moments(filters, n + q)
     cross = moments.cross[:, 0]

@@ -45,10 +45,6 @@ class OfSum:
     weights: Array
     block: LinearBlock
 
-    def rest(self) -> Array:
-        """State of a block that was never driven."""
-        return self.block.rest()
-
     def settled(self, columns: Array) -> Array:
         """State of a block that was held at these columns for ever."""
         return self.block.settled([float(self.weights @ columns)])
@@ -68,14 +64,10 @@ class Derivatives:
     weights: Array
     paths: tuple[LinearBlock, ...]
 
-    def rest(self) -> Array:
-        """State (group, state, 4) of paths that were never driven."""
-        return np.zeros_like(self._matrices[1])
-
     def settled(self, columns: Array) -> Array:
         """State of paths that were held at these columns for ever."""
         held = float(self.weights @ columns)
-        return held * self._of_one if held else self.rest()
+        return held * self._of_one if held else np.zeros_like(self._matrices[1])
 
     def respond(self, columns: Array, start: Array) -> tuple[Array, Array]:
         """Derivatives (parameter, sample) and the state after them."""
@@ -168,21 +160,13 @@ class AxisTask:
 
         Each input has one column for its given slopes, and three columns for thirds of its slope changes.
         """
-        rows, first = [], 0
-        for grid in self.grids:
-            own = np.zeros(sum(map(len, self.grids)))
-            own[first : first + len(grid)] = slopes[first : first + len(grid)]
-            rows += [own] if grid.size else []
-            for part in (
-                np.array_split(np.arange(first, first + len(grid)), min(MIXED, len(grid)))
-                if grid.size
-                else []
-            ):
-                rows.append(np.isin(np.arange(len(own)), part).astype(np.float64))
-            first += len(grid)
-        few = np.array(rows)
+        every, rows = np.eye(self.columns), []
+        ends = np.cumsum([len(grid) for grid in self.grids])
+        for own in np.split(np.arange(len(every)), ends[:-1]):
+            parts = np.array_split(own, min(MIXED, own.size)) if own.size else []
+            rows += [slopes[own] @ every[own], *(every[part].sum(axis=0) for part in parts)] if parts else []
         kept = tuple(
-            Regressors.of(record.u_v, start, self.grids, few)
+            Regressors.of(record.u_v, start, self.grids, np.array(rows))
             for record, start in zip(self.records, self.starts, strict=True)
         )
         return replace(self, kept=kept)

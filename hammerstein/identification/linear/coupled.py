@@ -101,21 +101,16 @@ class ModalCopies:
     residues_in: Modes
     residues_out: Modes
     through: float
-    copies: int
 
     @classmethod
-    def of(cls, block: LinearBlock, output: int, input_: int, copies: int) -> ModalCopies:
+    def of(cls, block: LinearBlock, output: int, input_: int) -> ModalCopies:
         """Path of a block from one input to one output."""
         poles, vectors = (part.astype(np.complex128) for part in np.linalg.eig(block.A))
         b = np.linalg.solve(vectors, block.B[:, input_])
         c = block.C[output] @ vectors
         upper = poles.imag >= 0.0
         twice = np.where(poles.imag > 0.0, 2.0, 1.0)
-        return cls(poles[upper], b[upper], (twice * c)[upper], float(block.D[output, input_]), copies)
-
-    def rest(self) -> Modes:
-        """State (copy, mode) of paths that were never driven."""
-        return np.zeros((self.copies, len(self.poles)), dtype=np.complex128)
+        return cls(poles[upper], b[upper], (twice * c)[upper], float(block.D[output, input_]))
 
     def settled(self, columns: Array) -> Modes:
         """State (copy, mode) of paths that were held at their column for ever."""
@@ -203,7 +198,7 @@ def _moments(
     p, columns = len(records[0].y_um), sum(map(len, layout.grids))
     moments = []
     for o in range(p):
-        filters = [ModalCopies.of(through, o, k, columns) for k in range(p)]
+        filters = [ModalCopies.of(through, o, k) for k in range(p)]
         parts = [
             moments_of(_blocks(record, start, layout, filters, o), p * columns, 1)
             for record, start in zip(records, starts, strict=True)

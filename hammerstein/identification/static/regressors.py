@@ -32,9 +32,6 @@ MOST_KEPT = 4_000_000
 class Filter(Protocol):
     """A linear block that columns pass, with its memory outside."""
 
-    def rest(self) -> NDArray[Any]:
-        """State of a block that was never driven."""
-
     def settled(self, columns: Array) -> NDArray[Any]:
         """State of a block that was held at ``columns`` (column,) for ever."""
 
@@ -309,16 +306,11 @@ class SideBySide:
     """Copies of a path with one input and one output, one for each column."""
 
     path: LinearBlock
-    copies: int
-
-    def rest(self) -> Array:
-        """State (copy, state) of paths that were never driven."""
-        return np.zeros((self.copies, len(self.path.A)))
 
     def settled(self, columns: Array) -> Array:
         """State (copy, state) of paths that were held at their column for ever."""
         if not columns.any():
-            return self.rest()
+            return np.zeros((len(columns), len(self.path.A)))
         return np.outer(columns, self._of_one)
 
     @cached_property

@@ -192,7 +192,7 @@ def path_filters(
         raise IdentificationError(
             "the linear block couples the outputs; give one that acts on each output separately"
         )
-    return [SideBySide(own, columns)]
+    return [SideBySide(own)]
 
 
 def _record_moments(
