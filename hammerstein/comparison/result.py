@@ -55,8 +55,10 @@ class Left:
 
     @property
     def words(self) -> str:
-        """The error for a table; ``plant`` for the model that replaces the actuator."""
-        return f"{self.percent:.3g}" if self.percent is not None else "none" if self.on else "plant"
+        """The error for a table; ``plant`` for the model that replaces the actuator, else ``none``."""
+        if self.percent is None:
+            return "plant" if self.law and not self.on else "none"
+        return f"{self.percent:.3g}"
 
 
 @dataclass(frozen=True)

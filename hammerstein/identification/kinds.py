@@ -187,7 +187,8 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Hammerste
         if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
     nearest = _first_as_good(task, found)
-    nearest = _before(task, thresholds_v, nearest.behind, _again(nearest.block))
+    like = nearest.block if nearest is found[0] else _again(nearest.block)  # whose columns are its own
+    nearest = _before(task, thresholds_v, nearest.behind, like)
     begun = _begun_anew(task, thresholds_v, nearest, first=False)
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 

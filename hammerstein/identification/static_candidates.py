@@ -75,7 +75,7 @@ def finished_static(task: Task, built: CandidateSet) -> CandidateSet:
         prompt, task = replace(task, delay_samples=0.0), replace(task, delay_samples=late.delay_samples)
         thresholds_v = fitted_thresholds(task, thresholds_v, dynamics)
     blocks = of_fitted(task, thresholds_v, dynamics)
-    if prompt is not task:  # thresholds fitted with a wrong delay end at wrong places, on ramps with any
+    if prompt is not task:  # on a ramp, wrong thresholds make up for a wrong delay: neither search sees it
         other = of_fitted(prompt, fitted_thresholds(prompt, task.thresholds_v, dynamics), dynamics)
         if lowers(*(float(one.chosen.rms_um.mean()) for one in (other, blocks))):
             task, blocks = prompt, other

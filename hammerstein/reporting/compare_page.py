@@ -96,7 +96,7 @@ def cells(entry: Compared) -> list[str]:
         "" if entry.held is None else f"{entry.held.mean_percent:.3g}",
         "yes" if entry.as_good else "no",
         "yes" if entry.has_inverse else "no",
-        entry.left.words if entry.left.law else "none",
+        entry.left.words,
     ]
 
 

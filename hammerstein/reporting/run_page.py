@@ -97,11 +97,8 @@ def run_page(report: Report, figures: Iterable[str] = ()) -> Page:
     asked = scenario.assessment
     place = "" if asked is None else asked.place()
     met = sum(judgement.agrees for judgement in judged)
-    printed = (
-        Markdown("{} (*{}*).").format(place[:1].upper() + place[1:], asked.source())
-        if asked and place
-        else ""
-    )
+    begun = place[:1].upper() + place[1:]
+    printed = Markdown("{} (*{}*).").format(begun, asked.source()) if asked and place else ""
     return Page(
         heading=paragraphs(
             [Markdown("# {}").format(report.name), Markdown("**{}**").format(scenario.question), printed]

@@ -15,6 +15,7 @@ import theory
 import hammerstein
 from hammerstein.commands.cli import main
 from hammerstein.comparison.inverting import SETTLING
+from hammerstein.comparison.result import Left
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.options import identifiable_kinds
@@ -317,3 +318,8 @@ def test_a_method_that_only_plays_have_is_a_reason_in_a_row(
     printed = capsys.readouterr()
     assert "closed_form cannot be used with hysteresis asymmetric" in " ".join(printed.out.split())
     assert re.search(r"^comparing every kind of model on \d+ samples", printed.err, re.M)  # nobody watches
+
+
+def test_a_law_that_cannot_work_has_no_error() -> None:
+    assert {Left(reason="no law").words, Left("exact_inverse", "asymmetric", reason="no").words} == {"none"}
+    assert Left("exact_inverse", "asymmetric", percent=0.1234).words == "0.123"

@@ -10,9 +10,12 @@ import theory
 
 from hammerstein import HammersteinModel
 from hammerstein.commands.cli import main
+from hammerstein.identification.identify import identify
+from hammerstein.records.record import Record
 
 STEP_S, GAIN_UM_PER_V, HALF_BACKLASH_V = 1e-3, 1.5, 2.0
 NOISE_UM = 0.01
+TRIANGLES = [0.0, 1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 12.0], [0.0, 0.0, 100.0, 0.0, 100.0, 30.0, 70.0, 70.0]
 
 
 def _call(*arguments):
@@ -31,9 +34,7 @@ def stage(tmp_path_factory):
     """Model of two triangles with noise."""
     folder = tmp_path_factory.mktemp("backlash")
     t = STEP_S * np.arange(12000)
-    u = np.interp(
-        t, [0.0, 1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 12.0], [0.0, 0.0, 100.0, 0.0, 100.0, 30.0, 70.0, 70.0]
-    )
+    u = np.interp(t, *TRIANGLES)
     y = _moved(u) + np.random.default_rng(5).normal(0.0, NOISE_UM, len(t))
     table = pd.DataFrame({"time_s": t, "u_v": u, "y_um": y})
     table.to_csv(folder / "record.csv", index=False)
@@ -71,3 +72,13 @@ def test_its_inverse_in_c_has_the_same_bits(stage):
     _call("export", stage / "stage.json", "--law", "exact_inverse", "--softening-v", 0.5, "--out", code)
     done = subprocess.run(["make", "-C", str(code), "check"], capture_output=True, text=True, check=True)
     assert "0 numbers differ" in done.stdout
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", range(8, 12))
+def test_a_wrong_first_delay_does_not_keep_its_thresholds(seed):
+    """The noise alone is left: thresholds fitted with a delay of 4 samples left up to five times as much."""
+    u = np.interp(STEP_S * np.arange(12000), *TRIANGLES)
+    y = _moved(u) + np.random.default_rng(seed).normal(0.0, NOISE_UM, len(u))
+    _, fit = identify([Record([u], [y], STEP_S)])
+    assert fit.fit[fit.kind].rms_um[0] == pytest.approx(NOISE_UM, rel=0.03)

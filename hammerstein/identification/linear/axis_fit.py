@@ -29,7 +29,7 @@ SURE_CREEP = 3.0
 """Standard errors that the gain of a creep mode must have, if it was not asked for."""
 CREEP_OPERATORS = 6  # few: creep is slower than any loop
 FEW = 40
-"""Columns in memory of which no fewer are taken first: those of the largest power, which are the last."""
+"""Columns with which a fit begins where more are kept: those of the largest power, which come last."""
 PARTS = 16
 """Parts of a record within which errors may be related."""
 NEAR = 1.15
