@@ -29,7 +29,7 @@ from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slope
 from hammerstein.hysteresis.kind import slopes_of
 from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_search import thinning
-from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of, parameters_of
+from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, ByColumn, axis_of, parameters_of
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import bends_of, columns_of
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
@@ -43,7 +43,7 @@ from hammerstein.identification.static.normal_equations import (
     ridge_penalty,
     solve,
 )
-from hammerstein.identification.static.regressors import Filter, Regressors, SideBySide
+from hammerstein.identification.static.regressors import Regressors, SideBySide
 from hammerstein.identification.static.static_block import LEAST_SLOPE, direct_pairs
 from hammerstein.identification.task import Task
 
@@ -333,7 +333,7 @@ def _derived(one: AxisTask, x: Array, weights: Array) -> Moments:
     whole = one.columns
     padded = np.append(weights, np.zeros(whole - len(weights)))
 
-    def filters(time: float) -> list[Filter]:
+    def filters(time: float) -> list[ByColumn]:
         more = [one.derivatives(x, padded, time)] if len(x) else []
         return [SideBySide(one.path(x, time)), *more]
 

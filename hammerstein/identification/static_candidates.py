@@ -159,11 +159,6 @@ def fitted_thresholds(
     task: Task, thresholds_v: Thresholds, dynamics: Dynamics, rounds: int = MOST_ROUNDS
 ) -> list[list[Array]]:
     """Thresholds fitted in front of given dynamics, the same for all outputs."""
-    fitting = _fitting(task, dynamics, thinning(task.records))
-    row = list(fit_thresholds(fitting, thresholds_v[0], rounds))
-    return [row] * task.outputs
-
-
-def _fitting(task: Task, dynamics: Dynamics, every: int = 1) -> ThresholdTask:
-    """What stays fixed while thresholds are fitted in front of given dynamics."""
-    return ThresholdTask(task.records, task.starts, task.whole_delay, task.paths(dynamics), every)
+    known = task.starts, task.whole_delay, task.paths(dynamics)
+    fitting = ThresholdTask(task.records, *known, thinning(task.records))
+    return [list(fit_thresholds(fitting, thresholds_v[0], rounds))] * task.outputs

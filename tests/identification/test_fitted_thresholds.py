@@ -15,7 +15,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import identify
 from hammerstein.identification.operators import input_grids
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.fitted_thresholds import fit_thresholds, merged
+from hammerstein.identification.static.fitted_thresholds import fit_thresholds
 from hammerstein.identification.static.regressors import BLOCK, InitialState, regressor_blocks
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static.threshold_exchange import _sweep, exchanged, finer
@@ -230,12 +230,13 @@ def test_noise_alone_leaves_few_thresholds_in_their_range():
     assert (np.diff(found) >= 1e-3 * AMPLITUDE).all()
 
 
-def test_neighbours_merge_in_runs():
-    np.testing.assert_allclose(merged(np.array([0.1, 1.0, 1.001, 1.002, 3.0]), 0.01), [0.1, 1.001, 3.0])
-    assert merged(np.empty(0), 0.01).size == 0
-
-
-# In an identification ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize("seed", range(5))
+def test_two_thresholds_that_make_a_step_of_noise_leave(seed):
+    """Between the two, the model makes a step that only the noise explains."""
+    generator, r = np.random.default_rng(seed), np.array([1.0, 3.0, 5.0, 7.0])
+    record = record_of(excitation()[None], [r], [[np.ones(4)], [np.ones(4)]], 0.04, generator)
+    (found,) = fit_thresholds(task_of(record), [np.array([1.0, 3.0, 5.0, 7.0, 8.0, 8.02])], rounds=0)
+    np.testing.assert_allclose(found, r, atol=0.01)
 
 
 def test_weights_keep_their_bounds_and_standard_errors():

@@ -375,7 +375,7 @@ def test_columns_that_are_zero_need_not_be_summed():
     generator = np.random.default_rng(5)
     x, y = generator.standard_normal((3, 400)), generator.standard_normal((2, 400))
     x[1] = 0.0
-    blocks = [(x[:, :300], y[:, :300]), (x[:, 300:], y[:, 300:])]
+    blocks = [(x[::2, :300], y[:, :300]), (x[::2, 300:], y[:, 300:])]
     found = moments_of(blocks, 3, 2, np.array([0, 2]))
     wanted = 400 * np.cov(np.vstack([x, y]), bias=True)
     assert np.abs(found.gram - wanted[:3, :3]).max() < 1e-10
@@ -398,13 +398,16 @@ def test_plays_that_are_kept_can_be_gone_through_again(kind):
     u, r = random_walk(np.random.default_rng(2), 1, 9000), 3.0
     before = u[0] if kind == "repeated" else u[0, :0]
     wanted = theory.play(np.concatenate([before, u[0]]), r)[len(before) :]
-    kept = PlayColumns.of(
-        np.vstack([u, 0.0 * u]), InitialState(kind), [np.array([r]), np.array([0.5])]
-    ).kept()
-    for _ in range(2):
-        assert np.array_equal(np.hstack([x for _, x in kept.counted]), [wanted, 0.0 * wanted])
-        assert sum(x.shape[1] for x in kept.before) == len(before)
-    assert kept.moves().tolist() == [True, False]
+
+    def columns():
+        return PlayColumns.of(np.vstack([0.0 * u, u]), InitialState(kind), [np.array([0.5]), np.array([r])])
+
+    own, moving = columns().moving()
+    assert own.tolist() == [1]
+    for kept, all_of_them in ((columns().kept(), [0.0 * wanted, wanted]), (moving, [wanted])):
+        for _ in range(2):
+            assert np.array_equal(np.hstack([x for _, x in kept.counted]), all_of_them)
+            assert sum(x.shape[1] for x in kept.before) == len(before)
 
 
 @pytest.mark.parametrize("with_derivatives", [False, True])

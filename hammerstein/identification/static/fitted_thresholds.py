@@ -10,9 +10,10 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.identification.static.normal_equations import coefficients
 from hammerstein.identification.static.static_block import StaticFit
-from hammerstein.identification.static.threshold_exchange import LEAST_GAP, exchanged, finer
+from hammerstein.identification.static.threshold_exchange import exchanged, finer, losses
 from hammerstein.identification.static.threshold_search import (
     Grids,
+    Linearised,
     ThresholdTask,
     place_at,
     search_near,
@@ -21,6 +22,8 @@ from hammerstein.identification.static.threshold_search import (
 
 MOST_ROUNDS = 6
 """Most times that exchanges and steps follow each other."""
+MOST_TRIED = 4
+"""Thresholds that are tried to leave, the cheapest first."""
 STEEPEST = 5.0
 """Slope, in parts of the largest mean slope of its output, beyond which its threshold is left out."""
 WORTHWHILE = 1e-3
@@ -30,8 +33,7 @@ WORTHWHILE = 1e-3
 def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MOST_ROUNDS) -> Grids:
     """Thresholds of each input that minimise the squared error of all outputs.
 
-    Thresholds that the noise leaves undetermined are removed, and neighbours that end within a thousandth of
-    the largest half swing are merged into one.
+    Thresholds that are not worth their price are removed.
 
     Parameters
     ----------
@@ -57,19 +59,38 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
     array([0.3, 1.7])
     """
     here = place_at(task, tuple(grids))
-    reach = task.reach_v
     for _ in range(rounds if any(grid.size for grid in grids) else 0):
-        fine = [finer(grid, float(top)) for grid, top in zip(here.grids, reach, strict=True)]
+        fine = [finer(grid, float(top)) for grid, top in zip(here.grids, task.reach_v, strict=True)]
         moments = task.moments(fine, with_derivatives=False)
         there = search_near(task, exchanged(moments, fine, here.grids, here.unit), here.unit)
         gain = here.criterion - there.criterion
         here = there if gain > 0.0 else here
         if gain < WORTHWHILE:
             break
-    left = _of_measured_slopes(
-        task, tuple(merged(grid, LEAST_GAP * top) for grid, top in zip(here.grids, reach, strict=True))
-    )
+    left = _of_measured_slopes(task, _pruned(task, here).grids)
     return left if any(grid.size for grid in left) else tuple(grids)
+
+
+def _pruned(task: ThresholdTask, here: Linearised) -> Linearised:
+    """The place without thresholds that are not worth their price once the others have moved.
+
+    A search drives some pairs together, between which the model makes a step that follows the noise; rounding
+    decides which pairs. Each of a pair is worth much while the other one stays, but the nearer they are, the
+    smaller is their step.
+    """
+    lost = losses(task.moments(here.grids, with_derivatives=False), here.grids, here.unit)
+    gaps = (np.diff(grid, prepend=-np.inf, append=np.inf) for grid in here.grids)
+    nearest = np.concatenate([np.minimum(gap[:-1], gap[1:]) for gap in gaps])
+    cheapest = (j for j in np.argsort(lost * nearest**2)[:MOST_TRIED] if np.isfinite(lost[j]))
+    trials = (search_near(task, _without(here.grids, j), here.unit) for j in cheapest)
+    better = next((trial for trial in trials if trial.criterion < here.criterion), None)
+    return here if better is None else _pruned(task, better)
+
+
+def _without(grids: Grids, j: int) -> Grids:
+    """The thresholds of all inputs without number j of them."""
+    begins = np.cumsum([0, *map(len, grids)])[:-1]
+    return tuple(r[np.arange(i, i + len(r)) != j] for i, r in zip(begins, grids, strict=True))
 
 
 def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
@@ -78,39 +99,19 @@ def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
     Just below the largest half swing, a play moves only at the tips, where any weight explains one or two
     readings. Beyond the recorded swing, the model would diverge with it.
     """
-    reach = task.reach_v
     while True:
-        moments = task.moments(grids, with_derivatives=False)
         steepness = np.zeros(sum(map(len, grids)))
-        for moment in moments:
+        for moment in task.moments(grids, with_derivatives=False):
             slopes = split(coefficients(moment.gram, moment.cross[:, 0]), grids)
             gains = [
                 float(np.diff(own, prepend=0.0) @ (top - r)) / top if r.size else 0.0
-                for own, r, top in zip(slopes, grids, reach, strict=True)
+                for own, r, top in zip(slopes, grids, task.reach_v, strict=True)
             ]
-            largest = max(map(abs, gains), default=0.0)
-            steep = np.abs(np.concatenate(slopes)) / max(largest, np.finfo(float).tiny)
-            steepness = np.maximum(steepness, steep)
+            largest = max(*map(abs, gains), np.finfo(float).tiny)
+            steepness = np.maximum(steepness, np.abs(np.concatenate(slopes)) / largest)
         if not steepness.max(initial=0.0) > STEEPEST:
             return grids
-        worst = int(np.argmax(steepness))
-        kept = np.delete(np.concatenate(grids), worst)
-        ends = np.cumsum([len(grid) for grid in grids])
-        owner = int(np.searchsorted(ends, worst, side="right"))
-        sizes = [len(grid) - (k == owner) for k, grid in enumerate(grids)]
-        grids = tuple(np.split(kept, np.cumsum(sizes)[:-1]))
-
-
-def merged(grid: Array, least_gap_v: float) -> Array:
-    """Thresholds with each run of neighbours nearer than a least distance [V] replaced by its mean.
-
-    Examples
-    --------
-    >>> merged(np.array([1.0, 2.0, 2.002, 3.0]), 0.01)
-    array([1.   , 2.001, 3.   ])
-    """
-    runs = np.split(grid, np.flatnonzero(np.diff(grid) >= least_gap_v) + 1)
-    return np.array([run.mean() for run in runs if run.size])
+        grids = _without(grids, int(np.argmax(steepness)))
 
 
 def gained(start: StaticFit, fitted: StaticFit) -> bool:

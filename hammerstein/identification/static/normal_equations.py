@@ -29,9 +29,6 @@ NOTHING = 1e-7
 """Size of a column, in parts of the largest, below which it holds rounding errors alone."""
 NO_DIRECTION = 1e-9
 """Singular value of columns of length one, in parts of the largest, that is a rounding error."""
-TILE, CHUNK = 32, 256
-"""Columns and samples of one product: small enough that BLAS does it on one core. Waiting for a second core
-that is busy costs far more than it brings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,50 +67,35 @@ def moments_of(
 ) -> Moments:
     """Moments of one record from blocks (column, sample) and (output, sample).
 
-    moving : numbers of the columns that are not zero all the time, if they are known; all if not given
+    moving : numbers of the columns that the blocks hold; the others are zero all the time. All if not given
     """
     k = columns + outputs
-    total = np.zeros((k + 1, k + 1))
-    own = slice(None) if moving is None else moving
-    summed = np.r_[np.arange(columns)[own], columns : k + 1]
-    reference: Array | None = None
-    rows = np.empty((len(summed), 0))
+    own = np.arange(columns) if moving is None else moving
+    summed, n = np.r_[own, columns:k], len(own)
+    gathered, reference = np.zeros((len(summed) + 1,) * 2), np.empty((0, 1))
+    rows = np.empty((len(gathered), 0))
     for x, y in blocks:
-        if reference is None:
+        if not len(reference):
             reference = np.concatenate([x[:, :1], y[:, :1]])
         if rows.shape[1] != x.shape[1]:
-            rows = np.ones((len(summed), x.shape[1]))
+            rows = np.ones((len(gathered), x.shape[1]))
         # sums of large numbers would lose what their differences tell
-        np.subtract(x[own], reference[:columns][own], out=rows[: -outputs - 1])
-        np.subtract(y, reference[columns:], out=rows[-outputs - 1 : -1])
-        total[np.ix_(summed, summed)] += _products(rows)
-    if reference is None:
+        np.subtract(x, reference[:n], out=rows[:n])
+        np.subtract(y, reference[n:], out=rows[n:-1])
+        gathered += rows @ rows.T
+    if not len(reference):
         raise IdentificationError("the record has no usable sample")
-    samples = total[k, k]
-    mean = total[:k, k] / samples
-    centred = total[:k, :k] - samples * np.outer(mean, mean)
+    samples, mean = gathered[-1, -1], gathered[:-1, -1] / gathered[-1, -1]
+    total, means = np.zeros((k, k)), np.zeros((1, k))
+    total[np.ix_(summed, summed)] = gathered[:-1, :-1] - samples * np.outer(mean, mean)
+    means[0, summed] = mean + reference[:, 0]
     return Moments(
-        gram=centred[:columns, :columns],
-        cross=centred[:columns, columns:],
-        power=np.diag(centred)[columns:].copy(),
+        gram=total[:columns, :columns],
+        cross=total[:columns, columns:],
+        power=np.diag(total)[columns:].copy(),
         samples=int(samples),
-        means=(mean + reference[:, 0])[None, :],
+        means=means,
     )
-
-
-def _products(rows: Array) -> Array:
-    """Products of all rows (row, sample) with each other, tile by tile."""
-    k, samples = rows.shape
-    whole = samples - samples % CHUNK
-    stacks = [rows[:, :whole].reshape(k, -1, CHUNK).transpose(1, 0, 2), rows[None, :, whole:]]
-    total = np.zeros((k, k))
-    for stack in stacks:
-        for i in range(0, k, TILE):
-            for j in range(i, k, TILE):
-                tile = np.matmul(stack[:, i : i + TILE], stack[:, j : j + TILE].transpose(0, 2, 1))
-                total[i : i + TILE, j : j + TILE] += tile.sum(axis=0)
-    upper = np.triu(total)
-    return upper + np.triu(upper, 1).T
 
 
 def pooled(parts: Sequence[Moments]) -> Moments:

@@ -148,10 +148,13 @@ class PlayColumns(NamedTuple):
         before = tuple(self.before)
         return PlayColumns(self.held, before, tuple(self.counted))
 
-    def moves(self) -> NDArray[np.bool_]:
-        """Columns (column,) that are not always zero; only for kept columns."""
-        parts = [*self.before, *(x for _, x in self.counted)]
-        return np.asarray(np.any([x.any(axis=1) for x in parts], axis=0) | (self.held != 0.0))
+    def moving(self) -> tuple[NDArray[np.intp], PlayColumns]:
+        """Numbers of the columns that are not zero all the time, and these alone, in memory."""
+        before, counted = list(self.before), list(self.counted)
+        parts = [*before, *(x for _, x in counted)]
+        own = np.flatnonzero(np.any([x.any(axis=1) for x in parts], axis=0) | (self.held != 0.0))
+        before, counted = [x[own] for x in before], [(k, x[own]) for k, x in counted]
+        return own, PlayColumns(self.held[own], before, counted)
 
 
 def behind_filters(
@@ -203,9 +206,10 @@ class Regressors:
         return cls(values, rows @ _held(plays, None))
 
     @cached_property
-    def moves(self) -> NDArray[np.bool_]:
-        """Columns (column,) that are not zero all the time."""
-        return np.asarray(self.values.any(axis=1) | (self.held != 0.0))
+    def moving(self) -> tuple[NDArray[np.intp], Regressors]:
+        """Numbers of the columns that are not zero all the time, and these alone."""
+        own = np.flatnonzero(self.values.any(axis=1) | (self.held != 0.0))
+        return own, Regressors(self.values[own], self.held[own])
 
     def blocks(
         self, start: InitialState, delay_samples: int, filters: Sequence[Filter]

@@ -77,13 +77,8 @@ def exchanged(
     sizes = [len(grid) for grid in fine]
     owner = np.repeat(np.arange(len(fine)), sizes)
     r = np.concatenate(fine)
-    starts = np.cumsum([0, *sizes])[:-1]
-    places = [f + np.searchsorted(x, grid) for f, x, grid in zip(starts, fine, grids, strict=True)]
-    chosen = np.concatenate(places).astype(np.intp)
-    swept = [_scaled(moment, sizes, float(u)) for moment, u in zip(moments, unit, strict=True)]
-    for matrix in swept:
-        for j in chosen:
-            _sweep(matrix, j, 1.0)
+    chosen = np.flatnonzero(np.concatenate([np.isin(*both) for both in zip(fine, grids, strict=True)]))
+    swept = _within(moments, sizes, unit, chosen)
     for _ in range(2 * len(chosen)):
         found = _best(swept, owner, chosen)
         if found is None:
@@ -97,11 +92,39 @@ def exchanged(
     return tuple(np.sort(r[chosen[owner[chosen] == k]]) for k in range(len(fine)))
 
 
+def losses(moments: Sequence[Moments], grids: Sequence[Array], unit: Array) -> Array:
+    """Squared error (threshold,) in its unit that comes back with each play that leaves all others in place.
+
+    Parameters
+    ----------
+    moments : of each output with the differences of the plays
+    grids : thresholds of each input [V]; the only one of an input does not leave, at any price
+    unit : (output,) squared error [um^2] that counts as one
+    """
+    sizes = [len(grid) for grid in grids]
+    owner, chosen = np.repeat(np.arange(len(sizes)), sizes), np.arange(sum(sizes))
+    return _lost(_within(moments, sizes, unit, chosen), owner, chosen)
+
+
+def _within(moments: Sequence[Moments], sizes: Sequence[int], unit: Array, chosen: Indices) -> list[Array]:
+    """Products of each output after the chosen plays entered the regression."""
+    swept = [_scaled(moment, sizes, float(u)) for moment, u in zip(moments, unit, strict=True)]
+    for matrix in swept:
+        for j in chosen:
+            _sweep(matrix, j, 1.0)
+    return swept
+
+
+def _lost(swept: Sequence[Array], owner: Indices, chosen: Indices) -> Array:
+    """Squared error (chosen,) that comes back with each one; infinite for the only one of an input."""
+    lost = np.sum([matrix[chosen, -1] ** 2 / -np.diag(matrix)[chosen] for matrix in swept], axis=0)
+    return np.where(np.bincount(owner[chosen])[owner[chosen]] == 1, np.inf, lost)
+
+
 def _worth(swept: Sequence[Array], owner: Indices, chosen: Indices, least: float) -> Indices:
     """The chosen plays without those that explain too little; every input keeps one."""
     while True:
-        lost = np.sum([matrix[chosen, -1] ** 2 / -np.diag(matrix)[chosen] for matrix in swept], axis=0)
-        lost[np.bincount(owner[chosen])[owner[chosen]] == 1] = np.inf
+        lost = _lost(swept, owner, chosen)
         i = int(np.argmin(lost))
         if not lost[i] < least * sum(float(matrix[-1, -1]) for matrix in swept):
             return chosen

@@ -35,7 +35,7 @@ Grids = tuple[Array, ...]
 LARGEST_STEP = 0.4
 """Part of the distance to its neighbour that a threshold moves at most in one step: the order stays."""
 MOST_STEPS = 60  # a search that has not arrived is given up
-ENOUGH, ARRIVED_AFTER = 1e-3, 2
+ENOUGH, ARRIVED_AFTER = 1e-4, 2
 """Relative gain of a step that counts as none, and how many such steps in a row end the search."""
 DAMPING = Damping(least=1e-12, most=1e3)
 ROUNDING = 1e-15
