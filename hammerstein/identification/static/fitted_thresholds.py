@@ -82,7 +82,7 @@ def _pruned(task: ThresholdTask, here: Linearised) -> Linearised:
     gaps = (np.diff(grid, prepend=-np.inf, append=np.inf) for grid in here.grids)
     nearest = np.concatenate([np.minimum(gap[:-1], gap[1:]) for gap in gaps])
     cheapest = (j for j in np.argsort(lost * nearest**2)[:MOST_TRIED] if np.isfinite(lost[j]))
-    trials = (search_near(task, _without(here.grids, j), here.unit) for j in cheapest)
+    trials = (search_near(task, _without(here.grids, j), here.unit, here.criterion) for j in cheapest)
     better = next((trial for trial in trials if trial.criterion < here.criterion), None)
     return here if better is None else _pruned(task, better)
 

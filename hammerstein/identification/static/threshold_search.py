@@ -37,6 +37,8 @@ LARGEST_STEP = 0.4
 MOST_STEPS = 60  # a search that has not arrived is given up
 ENOUGH, ARRIVED_AFTER = 1e-4, 2
 """Relative gain of a step that counts as none, and how many such steps in a row end the search."""
+HOPELESS = 10.0
+"""Times the gain of its last step that a search may be away from what is wanted."""
 DAMPING = Damping(least=1e-12, most=1e3)
 ROUNDING = 1e-15
 """Part of an output's power under which its squared errors are rounding."""
@@ -166,20 +168,23 @@ def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Li
     )
 
 
-def search_near(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Linearised:
-    """Levenberg-Marquardt steps from given thresholds until nothing is gained; never worse than there."""
-    reach = task.reach_v
-    here = place_at(task, grids, unit)
-    idle = 0
+def search_near(
+    task: ThresholdTask, grids: Grids, unit: Array | None = None, below: float = math.inf
+) -> Linearised:
+    """Levenberg-Marquardt steps from given thresholds until nothing is gained; never worse than there.
+
+    below : criterion that is wanted; a search ends where its steps gain too little to come there
+    """
+    here, idle = place_at(task, grids, unit), 0
 
     def step(here: Linearised, damping: float) -> Linearised:
-        return place_at(task, here.step(damping, reach), here.unit)
+        return place_at(task, here.step(damping, task.reach_v), here.unit)
 
     for tried in islice(steps(here, step, lambda place: place.cost, DAMPING), MOST_STEPS):
-        here = tried.best
+        here, gain = tried.best, tried.before.criterion - tried.best.criterion
         if tried.gained:
             idle = idle + 1 if tried.there.cost > (1.0 - ENOUGH) * tried.before.cost else 0
-        if idle >= ARRIVED_AFTER:
+        if idle >= ARRIVED_AFTER or (tried.gained and here.criterion - below > HOPELESS * gain):
             break
     return here
 
