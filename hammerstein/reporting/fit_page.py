@@ -153,7 +153,7 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
     resonances = [axis.axis.resonance_hz for axis in fit.axes if axis.axis.resonance_hz is not None]
     fastest = min(fit.records, key=lambda record: record.sample_time_s).rate_hz
     numbers.append(
-        f"Lowest resonance: {min(resonances):.4g} Hz." if resonances else f"Sampling rate: {fastest:.4g} Hz."
+        f"Lowest resonance: {min(resonances):.4g} Hz." if resonances else f"Sampling rate: {fastest:.6g} Hz."
     )
     said, command = next_step(model, fit, asked)
     after = Markdown("{} {}").format(said, code(command)) if command else markdown(said)

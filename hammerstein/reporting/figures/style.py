@@ -11,7 +11,7 @@ import math
 import re
 import textwrap
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -65,6 +65,7 @@ STYLE: dict[str, Any] = {
     "ytick.labelsize": 9.0,
     "legend.fontsize": 9.0,
     "legend.title_fontsize": 9.5,
+    "axes.formatter.use_mathtext": True,
     "legend.frameon": False,
     "legend.handlelength": 3.2,
     "axes.spines.top": False,
@@ -120,8 +121,7 @@ def side_by_side(panels: int) -> tuple[int, int]:
     >>> side_by_side(1), side_by_side(3)
     ((1, 1), (2, 2))
     """
-    columns = min(panels, 2)
-    return math.ceil(panels / columns), columns
+    return math.ceil(panels / 2), min(panels, 2)
 
 
 def line_style(number: int) -> dict[str, Any]:
@@ -222,6 +222,7 @@ def letter(axes: Axes, number: int, remark: str = "") -> None:
     share *= 1.0 if figure is None else figure.get_figwidth() / WIDTH_IN
     letters = len(re.sub(r"[$_{}\\]", "", remark))
     size = STYLE["font.size"] * min(1.0, share * REMARK_LETTERS / max(letters, 1))
+    axes.yaxis.get_offset_text().set_horizontalalignment("right")  # a power of ten, left of the letter
     # a given height spares the search for one above the ticks, which is slow
     axes.set_title(name, loc="left", y=1.0, fontweight="bold")
     axes.set_title(remark, loc="right", y=1.0, color="#666666", fontsize=size)
@@ -254,7 +255,7 @@ def few_ticks(axes: Axes) -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Ticks of a logarithmic axis as 0.0001, 10; between them 2 and 4 if there is room; evenly if few fit."""
+    """Ticks of a logarithmic axis as 0.001, 10; between them 2 and 4 if there is room; evenly if few fit."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     low, high = axis.get_view_interval()
@@ -263,7 +264,9 @@ def plain_numbers(axis: Axis) -> None:
         axis.set_major_locator(MaxNLocator(nbins=5, steps=(1, 2, 5, 10)))
     else:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 4.0) if decades < 2.2 else (1.0,)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: np.format_float_positional(value, 10, trim="-")))
+    axis.set_major_formatter(
+        FuncFormatter(lambda tick, _: re.sub(r"^1e(-?)[+0]*(\d+)", r"$10^{\1\2}$", f"{tick:g}"))
+    )
     axis.set_minor_locator(NullLocator())
 
 
@@ -310,9 +313,6 @@ def thin_trace(time: Array, values: Array, most: int) -> tuple[Array, Array]:
         return time, values
     starts = np.linspace(0, samples, max(1, most // 2) + 1).astype(int)
     parts = itertools.pairwise(starts)
-    extremes = [a + pick(values[a:b]) for a, b in parts if b > a for pick in _EXTREMES]
+    extremes = [a + pick(values[a:b]) for a, b in parts if b > a for pick in (np.argmin, np.argmax)]
     kept = np.unique(extremes)
     return time[kept], values[kept]
-
-
-_EXTREMES: tuple[Callable[[Array], np.intp], ...] = (np.argmin, np.argmax)

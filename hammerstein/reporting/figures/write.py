@@ -96,18 +96,14 @@ def svg_of(figure: Figure) -> bytes:
     for element in root.iter():
         element.text = element.tail = None  # text is drawn as outlines; the rest is space
         element.attrib |= {name: _short(name, value) for name, value in element.attrib.items()}
-    groups = root.findall(f"{SVG}g/{SVG}g")
-    parts = [("legend", entry) for group in groups for entry in _entries(group) if _is(group, "legend")]
-    parts += [("axes", list(group)) for group in groups if _is(group, "axes")]
+    named = [(group.attrib["id"].split("_")[0], group) for group in root.findall(f"{SVG}g/{SVG}g")]
+    parts = [(kind, entry) for kind, group in named if kind == "legend" for entry in _entries(group)]
+    parts += [(kind, list(group)) for kind, group in named if kind == "axes"]
     height_pt = float(root.attrib["viewBox"].split()[3])
     shown = [_part(kind, elements, boxes[kind].pop(0), height_pt) for kind, elements in parts]
     root[:] = [*shown, *root.findall(f"{SVG}defs")]
     root.attrib |= {"stroke-linejoin": "round", "stroke-linecap": "butt"}
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
-
-
-def _is(group: ElementTree.Element, kind: str) -> bool:
-    return group.attrib["id"].startswith(kind)
 
 
 def _short(name: str, value: str) -> str:
