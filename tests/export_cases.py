@@ -14,7 +14,7 @@ from hammerstein.dynamics import (
     StateSpaceDynamics,
     StaticDynamics,
 )
-from hammerstein.dynamics.products import InputProducts
+from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.export.code import CCode
 from hammerstein.export.request import Request
 from hammerstein.hysteresis import (

@@ -10,7 +10,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.compensators.cycle import centred
-from hammerstein.compensators.learning.ilc_update import IlcUpdate, ModelUncertainty, ilc_update
+from hammerstein.compensators.learning import IlcUpdate, ModelUncertainty, ilc_update
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant

@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, RangeWords, Reached, Sent, volts
+from hammerstein.commands.options import grouped, refuse_output, told_by_options, write_output
 from hammerstein.commands.record_options import AsJson, Overwrite
-from hammerstein.commands.refusals import refuse_output, told_by_options, write_output
 from hammerstein.commands.terminal import show, tell, tell_json, tell_statements
 
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.grouped import grouped
 from hammerstein.commands.law_options import LawWords, Sent
+from hammerstein.commands.options import grouped
 from hammerstein.commands.record_options import Overwrite
 from hammerstein.commands.terminal import tell, tell_json, tell_kept, tell_statements
 
@@ -41,11 +41,11 @@ def export(
 
     The code runs without Python.
     """
-    from hammerstein.commands.refusals import told_by_options
+    from hammerstein.commands.options import told_by_options
     from hammerstein.errors import InputError
     from hammerstein.export.folder import ALWAYS, EXPORT, check_export, write_export
     from hammerstein.export.request import request_of
-    from hammerstein.runtime.storage.staging import prepare_folder
+    from hammerstein.runtime.staging import prepare_folder
 
     if check is not None and model is None:
         files = check_export(check)

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hammerstein.commands.law_options import volts
-from hammerstein.commands.refusals import write_output
+from hammerstein.commands.options import write_output
 from hammerstein.commands.terminal import tell, tell_json, tell_statements
 
 if TYPE_CHECKING:
     from hammerstein.compensators.cycle import Cycle
     from hammerstein.compensators.drive_file import Terms
     from hammerstein.compensators.path_file import Onlooker
-    from hammerstein.runtime.storage.manifest import Owner
+    from hammerstein.runtime.manifest import Owner
 
 
 class TableRequest(NamedTuple):
@@ -109,7 +109,7 @@ def write_ilc_update(
     asked: Period, trial: tuple[Path, Path], uncertainty: str, before: tuple[Path, Path] | None = None
 ) -> None:
     """Write the next period of a periodic path, from a trial."""
-    from hammerstein.compensators.learning.ilc_update import ModelUncertainty, learn_from_files
+    from hammerstein.compensators.learning import ModelUncertainty, learn_from_files
     from hammerstein.errors import InputError
 
     deviations = volts("--uncertainty", uncertainty) or ()

@@ -15,7 +15,7 @@ from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, 
 from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
-from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.manifest import Owner
 from hammerstein.signals.signal_files import chosen, read_signal
 
 PLAYED = Owner("play", single=True)

@@ -118,7 +118,7 @@ class RecordFiles:
         return zip(files[::2], files[1::2], strict=True)
 
     def _of(self, voltages: Path, displacements: Path, all_driven: bool) -> tuple[Record, ...]:
-        from hammerstein.commands.refusals import told_by_options
+        from hammerstein.commands.options import told_by_options
         from hammerstein.errors import InputError
         from hammerstein.records.reading import read_paired_records
 
@@ -285,7 +285,7 @@ class Identified:
 
     def settings(self, **more: Any) -> Settings:
         """The settings, with what one command alone asks for."""
-        from hammerstein.commands.refusals import told_by_options
+        from hammerstein.commands.options import told_by_options
         from hammerstein.identification.settings import settings_of
 
         asked = asdict(self)

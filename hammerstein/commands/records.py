@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hammerstein.commands.grouped import grouped, words_of
 from hammerstein.commands.jobs import PROCESSORS
+from hammerstein.commands.options import grouped, refuse_output, words_of
 from hammerstein.commands.record_options import (
     AcceptOrder,
     AsJson,
@@ -22,7 +22,6 @@ from hammerstein.commands.record_options import (
     RecordFiles,
     StaticBlock,
 )
-from hammerstein.commands.refusals import refuse_output
 from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.commands.watch import Spinner
 
@@ -44,7 +43,7 @@ def folder_name(files: Sequence[Path]) -> str:
     """Name of the folder of several records: no other set of records has it."""
     from hashlib import sha256
 
-    from hammerstein.reporting.figures.loop_data import file_labels
+    from hammerstein.reporting.figures.loops import file_labels
 
     labels = file_labels([str(file) for file in files])
     if len(labels) <= MOST_NAMED:
@@ -69,11 +68,11 @@ def loops(
     """
     from hammerstein.commands.terminal_tables import gains_table
     from hammerstein.errors import InputError
+    from hammerstein.records.gains import refuse_swapped
     from hammerstein.records.loops import loop_table, move_at_once, turned_backwards, without_loops
-    from hammerstein.records.swapped_columns import refuse_swapped
-    from hammerstein.reporting.figures.loop_data import LOOPS, LOOPS_FILES, loops_of_records
-    from hammerstein.runtime.storage.manifest import refuse_name
-    from hammerstein.runtime.storage.staging import prepare_folder
+    from hammerstein.reporting.figures.loops import LOOPS, LOOPS_FILES, loops_of_records
+    from hammerstein.runtime.manifest import refuse_name
+    from hammerstein.runtime.staging import prepare_folder
 
     folder = out / folder_name(recorded.files)
     if figures:
@@ -150,7 +149,7 @@ def identify(
     """
     from hammerstein.commands.terminal_tables import fit_table
     from hammerstein.reporting.fit_page import ALWAYS, FIT, MODEL, Asked, answer, fit_json, write_fit
-    from hammerstein.runtime.storage.staging import prepare_folder
+    from hammerstein.runtime.staging import prepare_folder
 
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
@@ -221,7 +220,7 @@ def compare(
     from hammerstein.comparison.compare import compare as compared
     from hammerstein.errors import naming
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
-    from hammerstein.runtime.storage.staging import prepare_folder
+    from hammerstein.runtime.staging import prepare_folder
 
     settings, loop = identified.settings(), in_loop.settings(identified.order)
     held.refuse_fitted(recorded.files)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from contextlib import AbstractContextManager
 
-    from hammerstein.experiment.batch import Outcome
     from hammerstein.experiment.report import Report
+    from hammerstein.experiment.run import Outcome
     from hammerstein.reporting.folder import TraceFormat, Writer
     from hammerstein.runtime import parallel_tasks
     from hammerstein.scenario import Scenario
@@ -66,13 +66,13 @@ def run(
     A report has numbers, a page and figures. Results are cached and not computed twice.
     """
     from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all
+    from hammerstein.experiment.run import load_all
     from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.folder import Writer
-    from hammerstein.reporting.html.interactive import refuse_without_library
+    from hammerstein.reporting.interactive import refuse_without_library
     from hammerstein.reporting.overview import OVERVIEW, PAGE
     from hammerstein.runtime import store as kept_results
-    from hammerstein.runtime.storage.staging import prepare
+    from hammerstein.runtime.staging import prepare
 
     if dry_run:
         _show_plan(paths, jobs)
@@ -130,8 +130,8 @@ def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Ass
 def _show_plan(paths: Sequence[Path], jobs: int) -> None:
     """Print what would be run."""
     from hammerstein.commands.terminal_tables import plan_table
-    from hammerstein.experiment.batch import load_all
     from hammerstein.experiment.plan import plan_of
+    from hammerstein.experiment.run import load_all
 
     show(plan_table({name: plan_of(one, jobs) for name, one in load_all(paths).items()}, jobs))
 
@@ -193,7 +193,7 @@ def _run_what_changed(
     scenarios: dict[str, Scenario], writer: Writer, jobs: int, cluster: str | None, yes: bool
 ) -> list[Outcome]:
     """Write the reports that an earlier run has left in the store, and run the other scenarios."""
-    from hammerstein.experiment.batch import Outcome
+    from hammerstein.experiment.run import Outcome
 
     outcomes = []
     for name, scenario in scenarios.items():
@@ -209,7 +209,7 @@ def _run_what_changed(
 
     if jobs > 1 and len(left) > 1 and cluster is None:
         begin_loading()  # before this process loads what it needs itself
-    from hammerstein.experiment.batch import run_all
+    from hammerstein.experiment.run import run_all
 
     with workers(jobs, cluster) as asked, _planned(left, asked, yes) as crew:
         there = writer.on(crew)
@@ -279,12 +279,12 @@ def check(
 
     They are run again, and every number is compared with its baseline.
     """
-    from hammerstein.commands.refusals import write_output
-    from hammerstein.experiment.batch import load_all
+    from hammerstein.commands.options import write_output
+    from hammerstein.experiment.run import load_all
     from hammerstein.regression.check import check_files
     from hammerstein.regression.result import JUNIT, SUMMARY
     from hammerstein.reporting.check_page import CHECK_PAGE, check_page
-    from hammerstein.runtime.storage.staging import prepare_file
+    from hammerstein.runtime.staging import prepare_file
 
     outputs = (("--junit", junit, JUNIT), ("--markdown", markdown, SUMMARY), ("--html", html, CHECK_PAGE))
     for option, file, owner in outputs:
@@ -315,7 +315,7 @@ def check(
 def one_scenario(path: Path) -> tuple[str, Scenario]:
     """Name and scenario of a file; InputError for a folder."""
     from hammerstein.errors import InputError
-    from hammerstein.experiment.batch import load_all
+    from hammerstein.experiment.run import load_all
 
     if path.is_dir():
         raise InputError(str(path), "is a folder; give one scenario file")
@@ -333,7 +333,7 @@ def plot(
     from hammerstein.experiment.run import run as run_scenario
     from hammerstein.reporting.figures import figures_of, save_figures
     from hammerstein.reporting.figures.write import FIGURES
-    from hammerstein.runtime.storage.staging import prepare_folder
+    from hammerstein.runtime.staging import prepare_folder
 
     name, scenario = one_scenario(path)
     _planned({name: scenario}, jobs, yes)

@@ -81,8 +81,8 @@ def sweep(
 def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
     """Where the rows go: a place that can be written to; None where nothing is written."""
     from hammerstein.errors import InputError
-    from hammerstein.runtime.storage.manifest import SWEEP
-    from hammerstein.runtime.storage.staging import prepare_file
+    from hammerstein.runtime.manifest import SWEEP
+    from hammerstein.runtime.staging import prepare_file
 
     if dry_run:
         return None
@@ -109,10 +109,10 @@ def _written(out: Path, overwrite: bool) -> Iterator[_Csv | _Parquet]:
 
     Raises InputError where another sweep is writing it.
     """
-    from hammerstein.commands.refusals import write_output
+    from hammerstein.commands.options import write_output
     from hammerstein.errors import InputError
     from hammerstein.files import reason_of
-    from hammerstein.runtime.storage.manifest import SWEEP
+    from hammerstein.runtime.manifest import SWEEP
 
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +135,7 @@ def _alone(out: Path) -> Iterator[None]:
     is no such folder, the one that ends last has its rows in the file.
     """
     from hammerstein.runtime.resources import cache_folder
-    from hammerstein.runtime.storage.staging import locked
+    from hammerstein.runtime.staging import locked
 
     with contextlib.ExitStack() as held:
         if (place := cache_folder()) is not None:

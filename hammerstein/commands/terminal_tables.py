@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hammerstein.experiment.report import Report
-from hammerstein.experiment.selection import is_direct
+from hammerstein.experiment.report import Report, is_direct
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import duration, length, size

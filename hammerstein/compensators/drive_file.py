@@ -21,8 +21,8 @@ from hammerstein.compensators.reach import Reach, Shortfall, reach
 from hammerstein.compensators.remedies import Missed
 from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
-from hammerstein.records.noise import noise_rms
-from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.records.turning_points import noise_rms
+from hammerstein.runtime.manifest import Owner
 
 DRIVE = Owner("drive", single=True)
 

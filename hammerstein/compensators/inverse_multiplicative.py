@@ -18,7 +18,7 @@ from hammerstein.compensators.base import Compensator
 from hammerstein.dynamics import linear
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis, PlayState, PrandtlIshlinskii, slopes_of
-from hammerstein.hysteresis.slopes import slope_matrices
+from hammerstein.hysteresis.invertibility import slope_matrices
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Gain, Passes, TimeConstant, of_equal_rows
 

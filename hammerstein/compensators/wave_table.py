@@ -23,7 +23,7 @@ from hammerstein.compensators.cycle import Cycle, held_error, held_least
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.metrics import rms
-from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.manifest import Owner
 
 WAVE_TABLE = Owner("wave table", single=True)
 

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics.feedback_block import FeedbackBlock
+from hammerstein.dynamics.feedback_block import FeedbackBlock, InputProducts, ProductsFile
 from hammerstein.dynamics.linear_block import CONTINUOUS
-from hammerstein.dynamics.products import InputProducts, ProductsFile
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile
 from hammerstein.quantities import Delay, Entry, SampleTime
 from hammerstein.validation import Strict

@@ -23,8 +23,8 @@ from hammerstein.compensators import (
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.compensators.learning import Learned
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.experiment.recording import RECORDED_BLOCK
-from hammerstein.experiment.sensitivity import evaluations
+from hammerstein.experiment.draws import evaluations
+from hammerstein.experiment.measure import RECORDED_BLOCK
 from hammerstein.experiment.set_up import Window, driven_axes, law_of, loaded, plant_of, scenario_axes
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
 from hammerstein.model.simulation import Plant
@@ -32,7 +32,7 @@ from hammerstein.quantities import duration, size
 from hammerstein.runtime.resources import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, TestedCompensator
-from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.scenario.variation import Uncertainty
 
 # Of a two-axis actuator, on a processor that takes REFERENCE_S for what ``slowness`` lets it do.
 REFERENCE_S = 6.3e-4

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -185,3 +187,184 @@ class Report(NotebookRepr):
 def _known(found: Band | Sensitivity) -> dict[str, Any]:
     """Plain JSON without what has no value."""
     return {name: value for name, value in asdict(found).items() if value is not None}
+
+
+TINY = 1e-6  # um; smaller values are rounding errors
+
+
+@dataclass(frozen=True, order=True)
+class Condition:
+    """Frequency and amplitude of one run, None for a signal that names none; and its trial, if it has one."""
+
+    frequency_hz: float
+    amplitude: float | None
+    unit: str
+    trial: int | None = None
+
+    @classmethod
+    def of(cls, row: Row) -> Condition:
+        """Condition of a row."""
+        if row.amplitude_um is not None:
+            return cls(row.frequency_hz, row.amplitude_um, "um", row.trial)
+        return cls(row.frequency_hz, row.amplitude_v, "V", row.trial)
+
+    def only(self, parts: Collection[str]) -> Condition:
+        """Give it without its other parts."""
+        f, a, n = (getattr(self, part) if part in parts else None for part in PARTS)
+        return Condition(f or 0.0, a, self.unit, n)
+
+    def words(self) -> str:
+        """Say it: ``50 Hz, 10 V``."""
+        frequency = [f"{self.frequency_hz:g} Hz"] if self.frequency_hz else []
+        amplitude = [] if self.amplitude is None else [f"{self.amplitude:g} {self.unit}"]
+        return ", ".join(frequency + amplitude + ([] if self.trial is None else [f"trial {self.trial}"]))
+
+
+def by_condition(rows: Iterable[Row]) -> dict[Condition, list[Row]]:
+    """Rows of every condition, in the order of the report."""
+    found: dict[Condition, list[Row]] = {}
+    for row in rows:
+        found.setdefault(Condition.of(row), []).append(row)
+    return found
+
+
+PARTS = ("frequency_hz", "amplitude", "trial")
+"""Of a condition."""
+
+
+def differing(conditions: Collection[Condition]) -> list[str]:
+    """Those parts that are not equal in all of them."""
+    return [part for part in PARTS if len({getattr(condition, part) for condition in conditions}) > 1]
+
+
+def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:
+    """Words for each condition, without the part that is equal in all of them.
+
+    >>> list(told_apart([Condition(50.0, 10.0, "V"), Condition(50.0, 5.0, "V")]).values())
+    ['10 V', '5 V']
+    """
+    parts = differing(conditions) or PARTS
+    return {condition: condition.only(parts).words() for condition in conditions}
+
+
+@dataclass(frozen=True)
+class Over:
+    """What curves of a report are drawn over.
+
+    key : of a row; words : label of the axis; figure : how the files of its figures begin
+    """
+
+    key: str
+    words: str
+    figure: str
+
+    def of(self, row: Row) -> float:
+        """Value of a row."""
+        return float(getattr(row, self.key) or 0.0)
+
+
+FREQUENCY = Over("frequency_hz", "frequency [Hz]", "sweep")
+TRIAL = Over("trial", "trial", "trials")
+
+
+def swept_over(report: Report, most: int) -> Over | None:
+    """Trials where there are several, else more than so many frequencies; None for single runs."""
+    if len({row.trial for row in report.rows}) > 1:
+        return TRIAL
+    return FREQUENCY if len({row.frequency_hz for row in report.rows}) > most else None
+
+
+def labels_of(rows: Iterable[Row]) -> list[str]:
+    """Every compensator or model once, in the order of the report."""
+    return list(dict.fromkeys(row.compensator for row in rows))
+
+
+def is_path(report: Report) -> bool:
+    """Whether all axes were driven together."""
+    return all(row.excited_axis == "all" for row in report.rows)
+
+
+def banded_metric(report: Report) -> tuple[str, str]:
+    """Figure for which the spread of drawn actuators is reported, and its name."""
+    path = is_path(report) and len(report.axes) > 1
+    return ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
+
+
+def is_direct(report: Report, row: Row) -> bool:
+    """Whether a row is of an axis that was driven itself."""
+    if row.excited_axis == "all":
+        return True
+    driven = report.inputs if report.scenario.drive is not None else report.axes
+    return driven.index(row.excited_axis) == report.axes.index(row.measured_axis)
+
+
+def identified_at(report: Report) -> dict[str, float]:
+    """Frequency at which each compensator's or model's hysteresis was identified, where there is one."""
+    sources = (*report.scenario.compensators, *report.scenario.models)
+    found = {source.label: getattr(source.identification, "frequency_hz", None) for source in sources}
+    return {label: frequency for label, frequency in found.items() if frequency is not None}
+
+
+def largest(rows: Iterable[Row], name: str) -> float | None:
+    """Largest value of a figure; None where no row has it."""
+    values = [value for row in rows if (value := getattr(row, name)) is not None]
+    return max(values) if values else None
+
+
+def significant(value: float) -> str:
+    """Write a number with three digits that count, trailing zeros included.
+
+    >>> significant(8.0), significant(0.04567), significant(1234.4), significant(1.11e-16)
+    ('8.00', '0.0457', '1234', '< 1e-6')
+    """
+    if value == 0.0:
+        return "0"
+    if abs(value) < TINY:
+        return f"< {TINY:.0e}".replace("e-0", "e-")
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def number(value: float | None) -> str:
+    """Three digits that count; empty without a value."""
+    return "" if value is None or math.isnan(value) else significant(value)
+
+
+def percent(share: float) -> str:
+    """Write a part in percent with two digits that count, and never an exponent.
+
+    >>> percent(0.0378), percent(0.996), percent(1.024), percent(1e-16)
+    ('3.8 %', '100 %', '102 %', '< 0.0001 %')
+    """
+    if 0.0 < abs(share) < TINY:
+        return "< 0.0001 %"
+    return f"{100.0 * share:.{'2g' if abs(share) < 0.995 else '0f'}} %"
+
+
+def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:
+    """At most so many frequencies: the ends, those marked, and others spread evenly between them.
+
+    >>> selected_frequencies([10, 20, 30, 40, 50, 60, 70, 80], [50], 4)
+    [10, 30, 50, 80]
+    """
+    ordered = sorted(set(frequencies))
+    kept = {ordered[0], ordered[-1], *(f for f in marked if f in ordered)}
+    spread = [ordered[round(i * (len(ordered) - 1) / (most - 1))] for i in range(most)]
+    for frequency in spread:
+        if len(kept) < most:
+            kept.add(frequency)
+    return sorted(kept)
+
+
+def share_held(draws: int) -> float:
+    """Part of all actuators that a 5 to 95 % band of so many draws holds at least, with 95 % confidence.
+
+    Between the r-th and the s-th of n draws lies a part of all that is distributed as
+    Beta(s - r, n - s + r + 1) (Wilks, Annals of Mathematical Statistics 12 (1941) 91-96).
+
+    >>> round(share_held(20), 2), round(share_held(300), 2)
+    (0.66, 0.86)
+    """
+    from scipy.special import betaincinv  # SciPy's statistics take a second to load
+
+    between = max(1, math.floor(0.9 * (draws - 1)))
+    return float(betaincinv(between, draws - between + 1, 0.05))

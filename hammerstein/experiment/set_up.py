@@ -20,7 +20,7 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.errors import IdentificationError, InputError, Mistake, SimulationError, labelled
-from hammerstein.experiment.trials import IlcRun, IlcRuns, whole_period
+from hammerstein.experiment.simulated_identification import IlcRun, IlcRuns, whole_period
 from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
 from hammerstein.runtime.parallel_tasks import Jobs, on_workers

@@ -22,7 +22,7 @@ from hammerstein.runtime.parallel_tasks import Jobs, completed, in_order, on_wor
 from hammerstein.runtime.resources import one_blas_thread
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.study import Study
+from hammerstein.scenario.variation import Study
 from hammerstein.validation import mistakes_of
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([1-9]\d*)\])?")

@@ -11,7 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import FeedbackBlock, LinearBlock
-from hammerstein.dynamics.products import InputProducts
+from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import (
     Asymmetric,
@@ -28,8 +28,8 @@ from hammerstein.hysteresis import (
     RateState,
     bouc_wen_kernels,
     busy_kernels,
-    envelope_kernels,
     rate_dependent_kernels,
+    shape_kernels,
 )
 
 
@@ -206,14 +206,14 @@ def _tangents(envelopes: Sequence[Envelope]) -> CPart:
     sizes = [one.saturating_v if one.bent else 0.0 for one in envelopes]
     return CPart(
         sizes=(
-            Size("DOUBLINGS", envelope_kernels.DOUBLINGS, "of the argument of a hyperbolic tangent"),
-            Size("TERMS", len(envelope_kernels.SERIES), "of its series"),
-            Size("HALVINGS", envelope_kernels.HALVINGS, "halvings in the inverse of an envelope that bends"),
+            Size("DOUBLINGS", shape_kernels.DOUBLINGS, "of the argument of a hyperbolic tangent"),
+            Size("TERMS", len(shape_kernels.SERIES), "of its series"),
+            Size("HALVINGS", shape_kernels.HALVINGS, "halvings in the inverse of an envelope that bends"),
         ),
         tables=(
-            Table("TANH_LIMIT", envelope_kernels.LIMIT, "Argument above which a hyperbolic tangent is 1."),
-            Table("TANH_SCALE", 2.0**envelope_kernels.DOUBLINGS, "Divisor of its argument."),
-            Table("tanh_term", envelope_kernels.SERIES, "Its series, the highest power first."),
+            Table("TANH_LIMIT", shape_kernels.LIMIT, "Argument above which a hyperbolic tangent is 1."),
+            Table("TANH_SCALE", 2.0**shape_kernels.DOUBLINGS, "Divisor of its argument."),
+            Table("tanh_term", shape_kernels.SERIES, "Its series, the highest power first."),
             Table("tangent_size", sizes, "Size of the tangent of each envelope [V]; 0: no tangent."),
             Table("tangent_steep", [one.steepness_per_v for one in envelopes], "Its steepness [1/V]."),
             Table("tangent_centre", [one.centre_v for one in envelopes], "Its centre [V]."),

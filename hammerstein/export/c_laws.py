@@ -11,10 +11,12 @@ from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import inverse_kernel as exact_kernel, piece_kernels as pieces
-from hammerstein.compensators.exact.generalised import GeneralisedInverseLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
-from hammerstein.compensators.exact.preisach import PreisachInverseLaw
-from hammerstein.compensators.exact.rate_dependent import RateDependentInverseLaw
+from hammerstein.compensators.exact.other_kinds import (
+    GeneralisedInverseLaw,
+    PreisachInverseLaw,
+    RateDependentInverseLaw,
+)
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.kernels import STILL_V
 from hammerstein.compensators.no_compensation import NoCompensationLaw

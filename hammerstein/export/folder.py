@@ -31,8 +31,8 @@ from hammerstein.export.literals import literal
 from hammerstein.export.request import Request
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
-from hammerstein.runtime.storage.manifest import Owner
-from hammerstein.runtime.storage.staging import staged
+from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import staged
 from hammerstein.validation import Strict, mistakes_in
 
 DESCRIPTION, BUILD, UNIT = "modelDescription.xml", "buildDescription.xml", "fmu.c"

@@ -5,11 +5,10 @@ To add a kind to the package, write it in a file of its own and name it here.
 
 from hammerstein.blocks import Memory
 from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, AsymmetricState, DeadZones
-from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.bouc_wen import BoucWen, BoucWenFile, BoucWenPair, BoucWenState
 from hammerstein.hysteresis.generalised import Envelope, Generalised, GeneralisedFile
 from hammerstein.hysteresis.kind import HYSTERESIS, Hysteresis, HysteresisFile, Normals, Sloped, slopes_of
-from hammerstein.hysteresis.pair import Pair, WeightCovariance, play
+from hammerstein.hysteresis.pair import Bank, Pair, PlayState, WeightCovariance, play
 from hammerstein.hysteresis.parallel import Parallel, ParallelFile, ParallelState
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
 from hammerstein.hysteresis.preisach import Preisach, PreisachFile, PreisachState

@@ -14,18 +14,24 @@ from pydantic import Field
 from hammerstein.arrays import Array, ByValue, Flags, Indices, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
-from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile
+from hammerstein.hysteresis.kind import (
+    CovarianceFile,
+    Hysteresis,
+    HysteresisFile,
+    PairFile,
+    PartFile,
+    described,
+)
 from hammerstein.hysteresis.pair import (
     Pair,
+    PlayState,
     WeightCovariance,
     play,
     played,
     refuse_other_sizes,
     weighted_mistakes,
 )
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, described
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
 
@@ -238,7 +244,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         return AsymmetricState(self.plays.after(path_v), np.array(smallest))
 
     def _respond(self, u_v: Array, start: AsymmetricState) -> tuple[Array, AsymmetricState]:
-        from hammerstein.hysteresis.asymmetric_kernels import add_dead_zones
+        from hammerstein.hysteresis.shape_kernels import add_dead_zones
 
         v, plays = self.plays.respond(u_v, start.plays)
         held, lines = start.smallest_v.copy(), self.lines

@@ -17,9 +17,15 @@ from hammerstein.arrays import Array, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.kind import (
+    CovarianceFile,
+    Hysteresis,
+    HysteresisFile,
+    PartFile,
+    described,
+    refuse_not_finite,
+)
 from hammerstein.hysteresis.pair import WeightCovariance, refuse_other_sizes
-from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, described
 from hammerstein.quantities import PerVolt, Weight
 
 FIRST_RATES, FIRST_SHARES = (0.5, 2.0, 8.0), (0.35, 1.0, 2.5)

@@ -13,14 +13,20 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
 from hammerstein.errors import IdentificationError, InputError, Mistake
-from hammerstein.hysteresis.bank import PlayState
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
-from hammerstein.hysteresis.envelope_kernels import bent_at, tanh_by_doubling
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits, within_gaps
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
-from hammerstein.hysteresis.pair import Pair, WeightCovariance
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, PartFile, described
+from hammerstein.hysteresis.kind import (
+    CovarianceFile,
+    Hysteresis,
+    HysteresisFile,
+    PairFile,
+    PartFile,
+    described,
+    refuse_not_finite,
+)
+from hammerstein.hysteresis.pair import Pair, PlayState, WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import LEAST_ENGAGED, PrandtlIshlinskii
+from hammerstein.hysteresis.shape_kernels import bent_at, tanh_by_doubling
 from hammerstein.quantities import Offset, PerVolt
 
 if TYPE_CHECKING:
@@ -390,7 +396,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
 
     def bends(self, u_v: Array, before_v: Array, passes: int = 1) -> tuple[Array, Array]:
         """Derivatives of the plays in closed form; see ``Identifiable``."""
-        from hammerstein.hysteresis.envelope_kernels import play_derivatives
+        from hammerstein.hysteresis.shape_kernels import play_derivatives
 
         bank, first = self.plays.bank, 0
         values = np.zeros((len(self.free), self.n_outputs, u_v.shape[1]))

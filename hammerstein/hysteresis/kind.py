@@ -5,18 +5,29 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Generic,
+    Protocol,
+    Self,
+    TypeVar,
+    runtime_checkable,
+)
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, rows_of
 from hammerstein.blocks import Memory
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.hysteresis.pair import WeightCovariance
+from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.plugins import Family
+from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
@@ -316,3 +327,69 @@ def refuse_not_finite(u_v: Array) -> None:
     if not np.isfinite(u_v).all():
         axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u_v)))
         raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
+
+
+class PartFile(Strict):
+    """A part of a hysteresis in a model file; also made of the part itself, whose names it has."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+    describes: ClassVar[Callable[..., Any]]
+    """What makes the part of its own fields, by their names."""
+
+    def value(self) -> Any:
+        """Return the part this describes; InputError where it is none."""
+        return self.describes(**self.model_dump())
+
+    @model_validator(mode="after")
+    def _is_a_part(self) -> Self:
+        refuse_unbuilt(self.value)
+        return self
+
+
+class PairFile(PartFile):
+    """One pair in a model file."""
+
+    describes: ClassVar = Pair
+    thresholds_v: tuple[Threshold, ...]
+    weights_um_per_v: tuple[Weight, ...]
+    weight_errors_um_per_v: tuple[WeightError, ...] | None = None
+
+
+def lower_rows(factor: Any) -> Any:
+    """Rows of a lower triangle, each up to its diagonal."""
+    return [row[: i + 1] for i, row in enumerate(factor)] if isinstance(factor, np.ndarray) else factor
+
+
+class CovarianceFile(PartFile):
+    """Covariance L L^T of all weights of one output, pair after pair in the order of the inputs."""
+
+    factor_um_per_v: Annotated[tuple[tuple[Weight, ...], ...], BeforeValidator(lower_rows)] = Field(
+        description="rows of L, each up to its diagonal"
+    )
+    slopes_at_bound: NoCycles = Field(
+        default=0, description="slopes at a bound of the fit: the covariance is that of the other slopes"
+    )
+
+    def value(self) -> WeightCovariance:
+        """Return the covariance this describes."""
+        return WeightCovariance(
+            lower_triangle("weight_covariance", self.factor_um_per_v), self.slopes_at_bound
+        )
+
+
+def described(files: Any) -> Any:
+    """What files of parts describe, in the same rows; None where there are none."""
+    if files is None:
+        return None
+    return files.value() if isinstance(files, PartFile) else tuple(map(described, files))
+
+
+def lower_triangle(where: str, rows: tuple[tuple[float, ...], ...]) -> Array:
+    """Lower triangle with zeros above, from what ``lower_rows`` gave."""
+    n = len(rows)
+    if [len(row) for row in rows] != list(range(1, n + 1)):
+        raise InputError(where, "row i of a factor must hold i numbers, up to its diagonal")
+    square = np.zeros((n, n))
+    square[np.tril_indices(n)] = [value for row in rows for value in row]
+    return square

@@ -13,12 +13,25 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, frozen
 from hammerstein.errors import InputError, Mistake, naming
-from hammerstein.hysteresis.bank import Bank, PlayState
 from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
-from hammerstein.hysteresis.pair import Pair, WeightCovariance, play, played, refuse_other_sizes
-from hammerstein.hysteresis.pair_file import CovarianceFile, PairFile, described
+from hammerstein.hysteresis.kind import (
+    CovarianceFile,
+    Hysteresis,
+    HysteresisFile,
+    PairFile,
+    described,
+    refuse_not_finite,
+)
+from hammerstein.hysteresis.pair import (
+    Bank,
+    Pair,
+    PlayState,
+    WeightCovariance,
+    play,
+    played,
+    refuse_other_sizes,
+)
 
 if TYPE_CHECKING:
     from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity

@@ -16,8 +16,13 @@ from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
-from hammerstein.hysteresis.pair_file import lower_rows, lower_triangle
+from hammerstein.hysteresis.kind import (
+    Hysteresis,
+    HysteresisFile,
+    lower_rows,
+    lower_triangle,
+    refuse_not_finite,
+)
 from hammerstein.quantities import Offset, Weight
 
 if TYPE_CHECKING:

@@ -17,9 +17,15 @@ from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
-from hammerstein.hysteresis.kind import Hysteresis, HysteresisFile, refuse_not_finite
+from hammerstein.hysteresis.kind import (
+    CovarianceFile,
+    Hysteresis,
+    HysteresisFile,
+    PartFile,
+    described,
+    refuse_not_finite,
+)
 from hammerstein.hysteresis.pair import WeightCovariance, played
-from hammerstein.hysteresis.pair_file import CovarianceFile, PartFile, described
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)

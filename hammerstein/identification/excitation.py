@@ -12,9 +12,8 @@ from hammerstein.errors import IdentificationError
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing
-from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.record import Record
-from hammerstein.records.turning_points import turning_points
+from hammerstein.records.turning_points import noise_rms, quantum, turning_points
 
 RESPONDED = 1.0
 """Response of an output to an input, in parts of what the fit leaves, below which there is none."""

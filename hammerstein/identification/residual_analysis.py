@@ -17,9 +17,8 @@ from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
-from hammerstein.records.noise import noise_rms
 from hammerstein.records.record import Record
-from hammerstein.records.turning_points import turning_points
+from hammerstein.records.turning_points import noise_rms, turning_points
 
 FAR = 3.0
 """Rms of what is left, in parts of the noise, from which it is said first."""

@@ -14,7 +14,7 @@ from hammerstein.dynamics import AxesDynamics, Axis, Dynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Hysteresis, Normals
 from hammerstein.hysteresis.identifiable import Identifiable
-from hammerstein.hysteresis.pair_file import PartFile, lower_rows, lower_triangle
+from hammerstein.hysteresis.kind import PartFile, lower_rows, lower_triangle
 from hammerstein.quantities import Entry, NoCycles
 
 

@@ -161,7 +161,7 @@ class Paper(Assessment):
     def prepare(cls, out: Path, page: Path | None, overwrite: bool = False) -> None:
         """Refuse folders that hold other people's files under these names."""
         from hammerstein.paper.page import CLAIMS, CLAIMS_FILE, PAGE, PAGE_FILE
-        from hammerstein.runtime.storage.staging import prepare
+        from hammerstein.runtime.staging import prepare
 
         prepare(out, CLAIMS, [CLAIMS_FILE], overwrite)
         if page is not None:

@@ -11,8 +11,8 @@ from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
 from hammerstein.reporting.run_page import place_of
-from hammerstein.runtime.storage.manifest import Manifest, Owner
-from hammerstein.runtime.storage.staging import Stage, staged
+from hammerstein.runtime.manifest import Manifest, Owner
+from hammerstein.runtime.staging import Stage, staged
 
 CLAIMS = Owner("claims")
 PAGE = Owner("page")

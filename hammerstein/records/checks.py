@@ -13,7 +13,7 @@ import numpy as np
 from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import InputError, Mistake
 from hammerstein.quantities import Range
-from hammerstein.records.noise import quantum
+from hammerstein.records.turning_points import quantum
 from hammerstein.signals.text_tables import SHOWN, not_listed, where
 
 MOST_NUMBERS = 50_000_000

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.record import Record
+from hammerstein.records.turning_points import dead_band, noise_rms, quantum
 
 DRIVEN_SHARE = 0.01
 """An input that moves by less than this part of the largest one is held, not driven."""

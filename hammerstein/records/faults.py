@@ -15,9 +15,9 @@ import numpy as np
 from hammerstein.arrays import Array, Indices
 from hammerstein.records.checks import runs
 from hammerstein.records.excitation import driven_inputs, run_in
-from hammerstein.records.noise import noise_rms
 from hammerstein.records.outliers import FITTED, Products, regressors
 from hammerstein.records.record import Record
+from hammerstein.records.turning_points import noise_rms
 from hammerstein.signals.units import spoken
 
 PLAYS = 16  # of the fit by which drift and bending are judged

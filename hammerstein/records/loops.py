@@ -15,9 +15,8 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.records.excitation import driven_alone, driven_inputs
-from hammerstein.records.noise import noise_rms, quantum
 from hammerstein.records.record import Record
-from hammerstein.records.turning_points import Excursion, find_cycles
+from hammerstein.records.turning_points import Excursion, find_cycles, noise_rms, quantum
 
 SMOOTHED = 10
 """Most samples on each side that a noisy output is smoothed over."""

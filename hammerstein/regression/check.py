@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from hammerstein.errors import HammersteinError, InputError, Mistake
-from hammerstein.experiment.batch import Outcome, find_scenarios, load_all, run_all
 from hammerstein.experiment.report import Report
+from hammerstein.experiment.run import Outcome, find_scenarios, load_all, run_all
 from hammerstein.experiment.set_up import Progress
 from hammerstein.regression.compare import Baseline, Finding, Kind, compare, new_columns, numbers_of
 from hammerstein.regression.result import DEFAULT_FOLDER, CheckResult, ScenarioCheck

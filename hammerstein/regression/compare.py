@@ -18,7 +18,7 @@ from hammerstein.errors import InputError, Mistake, SimulationError
 from hammerstein.experiment.report import Report
 from hammerstein.files import read_limited, refuse_no_file, write_atomic
 from hammerstein.metrics import METRICS
-from hammerstein.runtime.storage.exchange import put_aside
+from hammerstein.runtime.manifest import put_aside
 from hammerstein.scenario.assessment import DEFAULT as OTHERS, numbers_of_judgements
 from hammerstein.scenario.scenario import Tolerance
 from hammerstein.validation import Strict, mistakes_in

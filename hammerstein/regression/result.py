@@ -16,7 +16,7 @@ from hammerstein.errors import HammersteinError, ToleranceError
 from hammerstein.escaping import Markdown, clean
 from hammerstein.metrics import KEY
 from hammerstein.regression.compare import Finding, Kind, Numbers, deviation, limit
-from hammerstein.runtime.storage.manifest import Owner
+from hammerstein.runtime.manifest import Owner
 from hammerstein.scenario.scenario import Tolerance
 
 DEFAULT_FOLDER = Path("reports/baseline")

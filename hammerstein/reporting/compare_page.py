@@ -10,8 +10,8 @@ from hammerstein.comparison.inverting import HEADROOM, SETTLING
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.escaping import Markdown, markdown, markdown_page
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs
-from hammerstein.runtime.storage.manifest import Owner
-from hammerstein.runtime.storage.staging import staged
+from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import staged
 
 COMPARISON = Owner("comparison")
 ALWAYS = ("compare.html", "compare.json", "compare.md")

@@ -14,14 +14,14 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.selection import percent
+from hammerstein.experiment.report import percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
-from hammerstein.runtime.storage.manifest import Owner
-from hammerstein.runtime.storage.staging import staged, staged_beside
+from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import staged, staged_beside
 from hammerstein.signals.units import spoken
 
 FIT = Owner("fit")

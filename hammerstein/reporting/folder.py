@@ -21,10 +21,10 @@ from hammerstein.escaping import csv_text
 from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
 from hammerstein.metrics import Row
 from hammerstein.reporting.figures.write import FIGURES
-from hammerstein.reporting.html.interactive import Interactive
+from hammerstein.reporting.interactive import Interactive
+from hammerstein.runtime.manifest import Manifest, Owner, digest_of, is_inside
 from hammerstein.runtime.parallel_tasks import Jobs
-from hammerstein.runtime.storage.manifest import Manifest, Owner, digest_of, is_inside
-from hammerstein.runtime.storage.staging import Stage, prepare, staged
+from hammerstein.runtime.staging import Stage, prepare, staged
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.scenario import WORDS
@@ -88,7 +88,7 @@ def write_report(
 
 def _plots(report: Report) -> Interactive | None:
     from hammerstein.reporting.figures.choice import explored_figures
-    from hammerstein.reporting.html.interactive import interactive_of
+    from hammerstein.reporting.interactive import interactive_of
 
     return interactive_of(*explored_figures(report))
 

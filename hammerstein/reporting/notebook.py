@@ -17,8 +17,7 @@ from hammerstein.records.loops import loop_table
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures.choice import figures_of
 from hammerstein.reporting.figures.identified import measured_loops
-from hammerstein.reporting.figures.loop_data import loops_of_records
-from hammerstein.reporting.figures.loops import LoopRun, loops_figure
+from hammerstein.reporting.figures.loops import LoopRun, loops_figure, loops_of_records
 from hammerstein.reporting.figures.path import PathRun, path_figure
 from hammerstein.reporting.figures.style import plain, symbol
 from hammerstein.reporting.figures.write import png_of

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from hammerstein.experiment.report import Report
-from hammerstein.experiment.selection import (
+from hammerstein.experiment.report import (
     Condition,
+    Report,
     by_condition,
     is_direct,
     labels_of,
@@ -18,10 +18,10 @@ from hammerstein.experiment.selection import (
     told_apart,
 )
 from hammerstein.metrics import Row
-from hammerstein.reporting.html.markup import rendered
+from hammerstein.reporting.page import rendered
 from hammerstein.reporting.run_page import place_of
-from hammerstein.runtime.storage.manifest import Manifest, Owner
-from hammerstein.runtime.storage.staging import staged
+from hammerstein.runtime.manifest import Manifest, Owner
+from hammerstein.runtime.staging import staged
 from hammerstein.scenario.assessment import Assessment
 
 OVERVIEW = Owner("overview")

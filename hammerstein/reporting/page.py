@@ -2,14 +2,231 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import base64
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cache
+from itertools import pairwise
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
-from hammerstein.escaping import Markdown
-from hammerstein.reporting.html.interactive import Interactive
-from hammerstein.reporting.html.markup import html_of, link_to, rendered
-from hammerstein.runtime.storage.staging import Stage
+from markupsafe import Markup
+
+from hammerstein.escaping import Markdown, templates_of
+from hammerstein.reporting.figures.style import joined
+from hammerstein.reporting.interactive import Interactive
+from hammerstein.runtime.staging import Stage
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markdown_it import MarkdownIt
+    from markdown_it.token import Token
+
+LARGEST_LINK_BYTES = 200_000
+"""A larger file is linked where it lies beside the page, not carried along."""
+MOST_BESIDE = 4
+"""Columns that fit beside each other on a telephone."""
+FOLDED = "details"
+"""Column whose cells open at a click."""
+LONGEST_NUMBER = 36
+"""Characters of a cell; a longer one holds words."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A file that belongs to a page.
+
+    name : of the file beside the page; href : that, or all of it
+    """
+
+    name: str
+    href: str
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A part of a page and its anchor."""
+
+    text: str
+    id: str
+
+
+def link_to(name: str, content: str, media_type: str) -> Link:
+    """Link that holds the whole file where it is small, so that it comes along with the page."""
+    data = content.encode("utf-8")
+    if len(data) > LARGEST_LINK_BYTES:
+        return Link(name, name)
+    return Link(name, f"data:{media_type};charset=utf-8;base64,{base64.b64encode(data).decode('ascii')}")
+
+
+def rendered(template: str, **content: Any) -> str:
+    """Fill a template; every text in it is escaped, and what a terminal would obey is made visible."""
+    return environment().get_template(template).render(**content)
+
+
+@cache
+def environment() -> Environment:
+    """Templates of the pages."""
+    found = templates_of("hammerstein", Markup)
+    found.globals |= {"style": _own_file(found, "page.css"), "script": _own_file(found, "page.js")}
+    return found
+
+
+def _own_file(found: Environment, name: str) -> Markup:
+    assert found.loader is not None
+    return Markup(found.loader.get_source(found, name)[0])  # of this package
+
+
+def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[Markup, list[Heading]]:
+    r"""Markdown of ours as HTML, and its headings of the second level.
+
+    drawn : figures that its pictures name, as SVG; they stand where the pictures do, each with its caption
+
+    >>> html_of(Markdown("a *b* `c` {}").format("<script>"))[0]
+    Markup('<p>a <em>b</em> <code>c</code> &lt;script&gt;</p>\n')
+    """
+    reader = _reader()
+    tokens = reader.parse(text)
+    headings = _anchored(tokens)
+    for child in (child for token in tokens for child in token.children or () if child.type == "text"):
+        child.content = joined(child.content.replace(" / ", "\xa0/ "))  # no line ends before the stroke
+    _tabulated(tokens)
+    _framed(tokens, drawn or {})
+    return Markup(reader.renderer.render(tokens, reader.options, {})), headings
+
+
+@cache
+def _reader() -> MarkdownIt:
+    from markdown_it import MarkdownIt
+
+    return MarkdownIt("commonmark", {"html": False}).enable("table")
+
+
+def _anchored(tokens: Sequence[Token]) -> list[Heading]:
+    """Return each heading an id of its own."""
+    found: list[Heading] = []
+    taken: set[str] = set()
+    for token, words in pairwise(tokens):
+        if token.type == "heading_open":
+            text = "".join(child.content for child in words.children or ())
+            stem = "-".join("".join(c if c.isalnum() else " " for c in text.lower()).split())
+            id_ = next(i for i in (stem, *(f"{stem}-{n}" for n in range(2, len(tokens)))) if i not in taken)
+            taken.add(id_)
+            token.attrSet("id", id_)
+            found += [Heading(text, id_)] * (token.tag == "h2")
+    return found
+
+
+def _tabulated(tokens: Sequence[Token]) -> None:
+    """Tables scroll by themselves; every cell names its column for a telephone, which shows no heads.
+
+    Numbers stand to the right on one line; long words are broken; a table without heads lists facts; details
+    fold out.
+    """
+    title = ""
+    for start, token in enumerate(tokens):
+        if token.type == "heading_open":
+            title = tokens[start + 1].content
+        if token.type != "table_open":
+            continue
+        stop = next(i for i in range(start, len(tokens)) if tokens[i].type == "table_close")
+        inside, close = tokens[start:stop], tokens[stop]
+        heads = [text.content for head, text in pairwise(inside) if head.type == "th_open"]
+        cells = [(cell, text) for cell, text in pairwise(inside) if cell.type == "td_open"]
+        for number, (cell, text) in enumerate(cells):
+            cell.attrSet("data-name", heads[number % len(heads)])
+            if heads[number % len(heads)] == FOLDED and text.content:
+                text.children = [
+                    _html("<details><summary>show</summary>"),
+                    *(text.children or ()),
+                    _html("</details>"),
+                ]
+        if not any(heads):
+            kind = "words pairs"
+        elif max((len(text.content) for _, text in cells), default=0) > LONGEST_NUMBER:
+            kind = "sortable words"
+        else:
+            kind = "sortable numbers" + " wide" * (len(heads) > MOST_BESIDE)
+        scroll = Markup('<div class="scroll" tabindex="0" role="region" aria-label="{}">').format(title)
+        table = Markup('<table class="{}" style="--numbers:{}">').format(kind, len(heads) - 1)
+        _replaced(token, scroll + table)
+        _replaced(close, Markup("</table></div>\n"))
+
+
+def _html(text: str) -> Token:
+    from markdown_it.token import Token
+
+    return Token("html_inline", "", 0, content=text)
+
+
+def _framed(tokens: Sequence[Token], drawn: Mapping[str, bytes]) -> None:
+    """Put a drawing in the place of each picture, and the paragraph after it below as its caption."""
+    number = 0
+    for at, token in enumerate(tokens):
+        children = token.children or []
+        if token.type != "inline" or [child.type for child in children] != ["image"]:
+            continue
+        number += 1
+        name = unquote(str(children[0].attrs["src"]))
+        title = "".join(child.content for child in children[0].children or ())
+        tokens[at - 1].tag, tokens[at + 1].hidden, tokens[at + 2].tag = "figure", True, "figcaption"
+        tokens[at - 1].attrSet("id", f"figure-{PurePath(name).stem}")
+        drawing = inlined(drawn[name], f"f{number}", title)
+        _replaced(token, Markup('<div class="draw" tabindex="0">{}</div>').format(drawing))
+        _replaced(tokens[at + 4], Markup("</figcaption></figure>\n"))
+
+
+def _replaced(token: Token, html: Markup) -> None:
+    token.type, token.children, token.content = "html_block", None, html
+
+
+_SVG = "{http://www.w3.org/2000/svg}"
+PAGE_PT = 576.0
+"""Width of a drawing that is as wide as a page [pt]."""
+_REFERENCE = re.compile(r"#([\w.-]+)")
+
+
+def inlined(svg: bytes, prefix: str, title: str) -> Markup:
+    """Drawing of ``svg_of`` as an element of a page, each of its parts a drawing of its own.
+
+    Ids get the prefix, since all drawings of a page share their names. Each part knows its place in percent
+    of the whole, and its width in points.
+    """
+    root = ElementTree.fromstring(svg)
+    used = set(_REFERENCE.findall(svg.decode("utf-8")))
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(_SVG)
+        element.attrib = dict(_attributes(element.attrib, prefix, used))
+    width, height = map(float, root.attrib["viewBox"].split()[2:])
+    parts = Markup()
+    for part in root.findall("svg"):
+        x, y, across, high = (float(part.attrib.pop(name)) for name in ("x", "y", "width", "height"))
+        part.attrib["style"] = (
+            f"--x:{100 * x / width:.2f}%;--y:{100 * y / height:.2f}%;--w:{100 * across / width:.2f}%;"
+            f"--pt:{across:.1f};aspect-ratio:{across:.1f}/{high:.1f}"
+        )
+        part.attrib["aria-hidden"] = "true"
+        parts += Markup(ElementTree.tostring(part, encoding="unicode"))  # serialised, not pasted
+    shared = [Markup(ElementTree.tostring(found, encoding="unicode")) for found in root.findall("defs")]
+    return Markup(
+        '<div class="drawing" role="img" aria-label="{}" style="aspect-ratio:{:.1f}/{:.1f};--most:{:.3f}">'
+        '{}<svg class="shared" aria-hidden="true">{}</svg></div>'
+    ).format(title, width, height, width / PAGE_PT, parts, Markup().join(shared))
+
+
+def _attributes(attributes: Mapping[str, str], prefix: str, used: set[str]) -> Iterator[tuple[str, str]]:
+    for long_name, value in attributes.items():
+        name = long_name.rpartition("}")[2]
+        if name == "id":
+            if value in used:
+                yield name, f"{prefix}-{value}"
+        elif name == "href":
+            yield name, f"#{prefix}-{value[1:]}"
+        else:
+            yield name, value.replace("url(#", f"url(#{prefix}-")
 
 
 class NumberFile(NamedTuple):

@@ -10,11 +10,10 @@ from pathlib import PurePath
 from typing import Any
 
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import Report, Trace
-from hammerstein.experiment.selection import identified_at, is_path, percent
+from hammerstein.experiment.report import Report, Trace, identified_at, is_path, percent
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
-from hammerstein.reporting.figures.loop_data import MOST_OVERLAYS
+from hammerstein.reporting.figures.loops import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
 from hammerstein.reporting.figures.sweep import MOST_CURVES
 from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs

@@ -7,9 +7,10 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from hammerstein.experiment.report import Band, Report
-from hammerstein.experiment.selection import (
+from hammerstein.experiment.report import (
+    Band,
     Condition,
+    Report,
     banded_metric,
     by_condition,
     is_direct,

@@ -6,10 +6,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from hammerstein.escaping import Markdown
-from hammerstein.experiment.report import TOO_FEW, Band, Report, Sensitivity
-from hammerstein.experiment.selection import (
+from hammerstein.experiment.report import (
     PARTS,
+    TOO_FEW,
+    Band,
     Condition,
+    Report,
+    Sensitivity,
     banded_metric,
     differing,
     identified_at,

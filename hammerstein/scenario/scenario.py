@@ -25,8 +25,7 @@ from hammerstein.plugins import load_plugins
 from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Trial, Wait
 from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, MetricName, NumberName
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, Tested
-from hammerstein.scenario.study import Study
-from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.scenario.variation import Study, Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference, Shape, written
 from hammerstein.validation import Strict, mistakes_of
 

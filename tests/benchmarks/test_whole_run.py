@@ -46,16 +46,17 @@ def clocked(module, name, what):
             spent[what] = spent.get(what, 0.0) + time.process_time() - start
     setattr(module, name, timed)
 
-from hammerstein.experiment import batch, run as experiment
+from hammerstein.experiment import run as experiment
 from hammerstein.reporting import folder
 from hammerstein.reporting.figures import choice, write
 clocked(experiment, "set_up", "models, kept from the run before, and laws")
-clocked(batch, "run", "run")
+clocked(experiment, "run", "run")
 clocked(choice, "figures_of", "building the figures")
 clocked(write, "svg_of", "drawing them")
 clocked(folder, "write_report", "write")
 import sys
-for outcome in batch.run_all(batch.load_all([Path(sys.argv[1])]), folder.Writer(Path(sys.argv[2])), 1):
+loaded = experiment.load_all([Path(sys.argv[1])])
+for outcome in experiment.run_all(loaded, folder.Writer(Path(sys.argv[2])), 1):
     assert outcome.error is None, outcome.error
 figures = [what for what in spent if what.startswith(("building", "drawing"))]
 run, wrote = spent.pop("run"), spent.pop("write")

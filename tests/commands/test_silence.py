@@ -172,7 +172,7 @@ def test_a_fault_of_ours_is_one_line_a_code_of_its_own_and_a_file(run, tmp_path,
     assert str(file) in line
     assert "a fault put in by a test" in line
     assert "in broken" in file.read_text()
-    monkeypatch.setattr("hammerstein.experiment.batch.load_all", broken)
+    monkeypatch.setattr("hammerstein.experiment.run.load_all", broken)
     code, said = run(DRIVE.format(actuator="duo_bimorph"))
     assert (code, said.count("\n")) == (70, 1)
 

@@ -20,7 +20,7 @@ from hammerstein.commands.cli import app, main
 from hammerstein.model import HammersteinModel
 from hammerstein.records.array_files import array_columns
 from hammerstein.regression.compare import Baseline
-from hammerstein.runtime.storage.manifest import Manifest
+from hammerstein.runtime.manifest import Manifest
 
 KEPT_MB = "100"
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]

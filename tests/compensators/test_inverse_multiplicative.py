@@ -9,7 +9,7 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import BoucWen, BoucWenPair, Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.slopes import slope_matrices
+from hammerstein.hysteresis.invertibility import slope_matrices
 from hammerstein.model import HammersteinModel
 
 T = 50e-6

@@ -20,7 +20,7 @@ from hammerstein.dynamics import (
     StackAxis,
     on_grid,
 )
-from hammerstein.dynamics.products import InputProducts
+from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 

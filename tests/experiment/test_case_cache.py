@@ -24,7 +24,7 @@ from hammerstein.files import UNFINISHED
 from hammerstein.model import HammersteinModel
 from hammerstein.runtime import provenance, store as kept_results
 from hammerstein.runtime.store import Kept, Store, key_of
-from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.scenario.variation import Uncertainty
 
 SCENARIO = {
     "question": "?",

@@ -434,7 +434,7 @@ def test_a_law_that_knows_the_actuator_itself_says_so():
 
 
 def test_samples_may_be_recorded_further_apart_than_a_block_is_long(monkeypatch):
-    monkeypatch.setattr("hammerstein.experiment.recording.RECORDED_BLOCK", 30)
+    monkeypatch.setattr("hammerstein.experiment.measure.RECORDED_BLOCK", 30)
     drive = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 10.0, "axis": 1}
     measure = {"settle_cycles": 1, "measured_cycles": 1, "record_every": 40}
     (trace,) = run(_scenario(actuator="duo_bimorph_static", drive=drive, measure=measure)).traces

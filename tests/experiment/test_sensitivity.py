@@ -7,14 +7,13 @@ import pytest
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
-from hammerstein.experiment.draws import Figures, drawn_metrics
+from hammerstein.experiment.draws import Figures, _base, _indices, drawn_metrics
 from hammerstein.experiment.run import run
-from hammerstein.experiment.sensitivity import _base, _indices
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.choice import figures_of
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.scenario.variation import Uncertainty
 
 SCENARIO = {
     "question": "?",

@@ -193,7 +193,7 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
     path = tmp_path / "slow.toml"
     path.write_text(SLOW)
     begun = []
-    monkeypatch.setattr("hammerstein.experiment.batch.run", lambda *_: begun.append(1) or 1 / 0)
+    monkeypatch.setattr("hammerstein.experiment.run.run", lambda *_: begun.append(1) or 1 / 0)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
 
     def call(watched, *options):
@@ -212,7 +212,7 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
     assert begun == []
     with monkeypatch.context() as little:  # nobody is asked for what is refused in the end
         little.setattr("hammerstein.experiment.plan.free_bytes", lambda: 1e3)
-        little.setattr("hammerstein.experiment.batch.run", run)
+        little.setattr("hammerstein.experiment.run.run", run)
         code, said = call(True)
         assert code == 3
         assert "this takes about" not in said

@@ -21,7 +21,7 @@ from hammerstein.experiment import study
 from hammerstein.experiment.plan import plan_of
 from hammerstein.experiment.run import run, simulate
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.study import Study
+from hammerstein.scenario.variation import Study
 
 SCENARIO = {
     "question": "?",

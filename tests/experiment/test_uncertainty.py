@@ -6,14 +6,14 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.commands.jobs import WORTH_PROCESSES_S, process_pool
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, _bands, drawn_metrics
+from hammerstein.experiment.report import number
 from hammerstein.experiment.run import run
-from hammerstein.experiment.selection import number
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.overview import write_overview
 from hammerstein.runtime.workers import Processes
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.scenario.variation import Uncertainty
 
 
 def _scenario(**uncertainty):

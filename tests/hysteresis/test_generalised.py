@@ -13,10 +13,10 @@ from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii, identifiable
-from hammerstein.hysteresis.envelope_kernels import tanh_by_doubling
 from hammerstein.hysteresis.generalised import EnvelopeFile
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.invertibility import invertibility
+from hammerstein.hysteresis.shape_kernels import tanh_by_doubling
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel

@@ -12,8 +12,7 @@ from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis, Preisach
-from hammerstein.hysteresis.invertibility import invertibility
-from hammerstein.hysteresis.slopes import every_matrix, outermost
+from hammerstein.hysteresis.invertibility import every_matrix, invertibility, outermost
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel

@@ -21,7 +21,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.records.record import Record
 from hammerstein.reporting.fit_page import fit_page
-from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.scenario.variation import Uncertainty
 
 T = 1e-3
 R = [np.array([0.3, 1.2, 2.6]), np.array([0.5, 1.9])]

@@ -14,7 +14,7 @@ from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.model import HammersteinModel, ModelFile
 from hammerstein.records.record import Record
-from hammerstein.scenario.uncertainty import Uncertainty
+from hammerstein.scenario.variation import Uncertainty
 
 R = [[np.array([0.0, 1.0, 2.5]), np.array([0.5, 2.0])]]
 W = [[np.array([3.0, 0.5, 0.4]), np.array([0.3, 0.1])]]

@@ -10,6 +10,7 @@ import theory
 
 from hammerstein.commands.cli import main
 from hammerstein.records.checks import time_mistakes
+from hammerstein.records.gains import leads
 from hammerstein.records.loops import (
     _path,
     loop_table,
@@ -18,12 +19,17 @@ from hammerstein.records.loops import (
     widest_cycle,
     without_loops,
 )
-from hammerstein.records.noise import dead_band, noise_rms, quantum
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record
-from hammerstein.records.swapped_columns import leads
-from hammerstein.records.turning_points import Excursion, find_cycles, turning_points
-from hammerstein.reporting.figures.loop_data import chosen_loops
+from hammerstein.records.turning_points import (
+    Excursion,
+    dead_band,
+    find_cycles,
+    noise_rms,
+    quantum,
+    turning_points,
+)
+from hammerstein.reporting.figures.loops import chosen_loops
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 

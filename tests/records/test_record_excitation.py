@@ -7,8 +7,8 @@ import pytest
 from record_cases import N, U, X, message
 
 from hammerstein.records.excitation import dead_start, moves_while_held
+from hammerstein.records.gains import lag_rad, leads, refuse_swapped
 from hammerstein.records.record import Record
-from hammerstein.records.swapped_columns import lag_rad, leads, refuse_swapped
 
 
 class TestDriven:

@@ -14,9 +14,8 @@ import pytest
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.escaping import markdown
-from hammerstein.experiment.report import Report
+from hammerstein.experiment.report import Report, number
 from hammerstein.experiment.run import run
-from hammerstein.experiment.selection import number
 from hammerstein.metrics import KEY, METRICS, Row
 from hammerstein.reporting.figures import figures_of
 from hammerstein.reporting.run_page import KEYS, run_page

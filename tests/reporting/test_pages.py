@@ -21,7 +21,7 @@ from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting import page as page_module
 from hammerstein.reporting.check_page import check_page
 from hammerstein.reporting.figures.moved import courses_of, moved_figure
-from hammerstein.reporting.html.markup import html_of, inlined, link_to
+from hammerstein.reporting.page import html_of, inlined, link_to
 from hammerstein.scenario.scenario import Tolerance
 
 EVIL = "</script><script>window.hit=1</script><img src=x onerror=window.hit=2>$$x$$ &lt; =1+1"

@@ -105,7 +105,7 @@ def test_python_answers_ctrl_c_within_a_compiled_loop():
 
 SWALLOWED = """
 import signal, sys, time
-import hammerstein.experiment.batch as batch
+import hammerstein.experiment.run as batch
 
 class Last:
     def __del__(self):

@@ -11,7 +11,7 @@ import pytest
 
 from hammerstein.commands.start import STARTER
 from hammerstein.model import HammersteinModel, packaged_actuators
-from hammerstein.runtime.storage.manifest import Manifest, digest_of
+from hammerstein.runtime.manifest import Manifest, digest_of
 from shipped import paper_actuators, stacks, starter
 
 MADE = ("path.csv", "record_x.csv", "record_y.csv")

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array, Complex, Indices
+from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
-from hammerstein.dynamics.products import InputProducts
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

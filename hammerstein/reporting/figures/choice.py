@@ -9,25 +9,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.experiment.report import Band, Report, Trace
-from hammerstein.experiment.selection import (
+from hammerstein.experiment.report import (
     FREQUENCY,
+    Band,
     Condition,
     Over,
+    Report,
+    Trace,
     banded_metric,
     identified_at,
     swept_over,
     told_apart,
 )
 from hammerstein.metrics import Row
-from hammerstein.reporting.figures.loop_data import (
+from hammerstein.reporting.figures.loops import (
     MOST_CURVES,
     error_runs,
+    errors_figure,
     legible_parts,
     loop_runs,
+    loops_figure,
     swept_label,
 )
-from hammerstein.reporting.figures.loops import errors_figure, loops_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.style import Role, plain, symbol
 from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure

@@ -1,19 +1,26 @@
-"""Loops and errors of runs in which one input is driven at a time: one panel for each output and input."""
+"""Loops and errors, one input driven at a time: from the traces of a report, or from measured records."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.experiment.selection import significant
+from hammerstein.experiment.report import Report, Trace, significant
+from hammerstein.metrics.arrays import settled_cycle
+from hammerstein.records.excitation import driven_inputs
+from hammerstein.records.loops import Loop, move_at_once, telling_loops, widest_cycle
+from hammerstein.records.record import Record
 from hammerstein.reporting.figures.style import (
     MOST_POINTS,
     PALE,
     WIDTH_IN,
+    axis_label,
     few_ticks,
     legend_above,
     letter,
@@ -27,6 +34,8 @@ from hammerstein.reporting.figures.style import (
     thin_path,
     thin_trace,
 )
+from hammerstein.runtime.manifest import Owner
+from hammerstein.scenario.scenario import Sweep
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -204,3 +213,191 @@ def _letters(panels: Panels, square: bool, remarks: Sequence[str] = ()) -> None:
         kind = ("direct" if o == k else "cross-coupling") if square and len(panels) > 1 else ""
         few_ticks(axes)
         letter(axes, number, ", ".join(word for word in (kind, remarks[k] if remarks else "") if word))
+
+
+MOST_CURVES = 6  # loops in one panel
+MOST_OVERLAYS = 4  # models drawn over a loop
+MOST_PHASES = 2000  # samples of a mean cycle
+SWEPT_WORDS = {
+    "frequency_hz": "{:g} Hz",
+    "amplitude_um": "{:g} µm",
+    "amplitude_v": "{:g} V",
+    "radius_um": "radius {:g} µm",
+    "trial": "trial {:g}",
+}
+
+
+def legible_parts(traces: Sequence[Trace]) -> dict[str, list[Trace]]:
+    """All traces in one figure if it stays legible, otherwise one figure for each compensator; by suffix."""
+    labels = list(dict.fromkeys(trace.label for trace in traces))
+    curves = {(trace.label, repr(trace.signal), trace.trial) for trace in traces}
+    if len(curves) <= MOST_CURVES or len(labels) == 1:
+        return {"": list(traces)}
+    return {
+        f"_{number}_{slug(label)}": [trace for trace in traces if trace.label == label]
+        for number, label in enumerate(labels, start=1)
+    }
+
+
+def slug(label: str) -> str:
+    """Part of a file name.
+
+    >>> slug("paper's law, 50 Hz")
+    'paper_s_law_50_hz'
+    """
+    return re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")[:40]
+
+
+def swept_label(trace: Trace, sweep: Sweep) -> str:
+    """Values of the sweep in one trace, as in ``50 Hz, 10 V``; empty without a sweep."""
+    values = trace.signal.model_dump() | {"trial": trace.trial}
+    swept = {key: word for key, word in SWEPT_WORDS.items() if len(getattr(sweep, key) or ()) > 1}
+    return ", ".join(word.format(values[key]) for key, word in swept.items())
+
+
+def legend_labels(report: Report, traces: Sequence[Trace]) -> list[str]:
+    """Text of the legend for each trace: only what distinguishes the curves of one figure."""
+    compared = len({trace.label for trace in traces}) > 1
+    labels = []
+    for trace in traces:
+        value = swept_label(trace, report.scenario.sweep)
+        name = trace.label if compared or not value else ""
+        told = value and re.search(rf"(?<![\d.]){re.escape(value)}\b", name)
+        labels.append(", ".join(word for word in (name, "" if told else value) if word))
+    return labels
+
+
+def loop_runs(report: Report, traces: Sequence[Trace], true: bool = False) -> list[LoopRun]:
+    """Mean measured cycle of each trace, reading or true position, and the predictions of the models."""
+    labels = legend_labels(report, traces)
+    return [
+        loop_of(trace, label or f"{trace.signal.highest_frequency_hz:g} Hz", driven_of(report, trace), true)
+        for trace, label in zip(traces, labels, strict=True)
+    ]
+
+
+def error_runs(report: Report, traces: Sequence[Trace]) -> list[ErrorRun]:
+    """First measured cycle of the errors of each trace; none for a run in volts without models."""
+    labels = legend_labels(report, traces)
+    return [
+        error
+        for trace, label in zip(traces, labels, strict=True)
+        for error in errors_of(trace, label, driven_of(report, trace))
+    ]
+
+
+def driven_of(report: Report, trace: Trace) -> int:
+    """Number of the input that a trace excites: named by the trace, or by its signal."""
+    names = report.inputs if report.scenario.drive is not None else report.axes
+    if trace.excited_axis in names:
+        return names.index(trace.excited_axis)
+    return int(trace.signal.model_dump()["axis"]) - 1
+
+
+def loop_of(trace: Trace, label: str, driven: int, true: bool = False) -> LoopRun:
+    """Mean measured cycle of a trace, and the predictions of a few models."""
+    response = trace.response
+    wire = response.drive_v if response.reference_um is None else response.reference_um
+    shown = trace.predictions if len(trace.predictions) <= MOST_OVERLAYS else ()
+    measured = response.position_um if true else response.reading_um
+    outputs = [measured, *(p.reading_um for p in shown)]
+    cycle = _closed_cycle(trace, np.vstack([wire[driven], *outputs]))
+    means = np.split(cycle[1:], len(outputs))
+    predictions = tuple((p.label, mean) for p, mean in zip(shown, means[1:], strict=True))
+    return LoopRun(label, driven, cycle[0], means[0], predictions)
+
+
+def _closed_cycle(trace: Trace, signals: Array) -> Array:
+    """Mean of the measured cycles (signal, sample), its first sample repeated at its end."""
+    period, sample_time_s = trace.signal.period_s, trace.response.sample_time_s
+    samples = round(period / sample_time_s)
+    if signals.shape[1] * sample_time_s < period * (1.0 + 1e-9):
+        return signals
+    cycle = settled_cycle(signals, 1.0 / period, sample_time_s, min(MOST_PHASES, samples))
+    return np.hstack([cycle, cycle[:, :1]])
+
+
+def errors_of(trace: Trace, label: str, driven: int) -> Iterator[ErrorRun]:
+    """First measured cycle of the errors of a trace: of the true position, or of each prediction."""
+    response, period = trace.response, trace.signal.period_s
+    first = slice(0, round(period / response.sample_time_s) + 1)
+    errors = [(p.label, response.reading_um - p.reading_um) for p in trace.predictions]
+    if response.reference_um is not None:
+        errors = [("", response.position_um - response.reference_um)]
+    for name, error_um in errors:
+        worst_um = float(np.abs(error_um).max())
+        words = ", ".join(word for word in (name, label) if word)
+        yield ErrorRun(words, driven, response.time_s[first] / period, error_um[:, first], worst_um)
+
+
+LOOPS = Owner("loops")
+LOOPS_FILES = ("loops.svg", "loops.png")
+AT_ONCE = "all inputs move at once: no loop of one pair"
+MOST_AMPLITUDES = 4  # line styles that can be told apart
+
+
+def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]) -> Figure | None:
+    """Draw the last settled loop of each amplitude, largest first; None where no record has anything to draw.
+
+    Of a record in which the inputs only move at once, the last cycle of each is drawn, and called so: what is
+    measured then is no loop of one pair.
+
+    Parameters
+    ----------
+    records : measured records of one actuator
+    tables : their loops, as ``loop_table`` gives them
+    """
+    runs = []
+    names = file_labels([record.source for record in records])
+    for name, record, table in zip(names, records, tables, strict=True):
+        for loop in chosen_loops(table):
+            part = slice(loop.start, loop.stop + 1)
+            driven = record.inputs.index(loop.input)
+            label = f"{loop.amplitude_v:.3g} V" + (f", {name}" if len(records) > 1 else "")
+            runs.append(LoopRun(label, driven, record.u_v[driven, part], record.y_um[:, part]))
+        if not table and move_at_once(record):
+            runs += list(_at_once(record, name if len(records) > 1 else ""))
+    if not runs:
+        return None
+    first = records[0]
+    return loops_figure(
+        runs,
+        [axis_label(name, "V") for name in first.inputs],
+        [axis_label(name, "µm") for name in first.outputs],
+    )
+
+
+def _at_once(record: Record, name: str) -> Iterator[LoopRun]:
+    """Last widest cycle of each input, the others in motion."""
+    for k in driven_inputs(record):
+        if part := widest_cycle(record, k, alone=False):
+            label = ", ".join(word for word in (AT_ONCE, name) if word)
+            yield LoopRun(label, k, record.u_v[k, part], record.y_um[:, part])
+
+
+def file_labels(sources: Sequence[str]) -> list[str]:
+    """Names of files without ending; with their folder where two have the same.
+
+    >>> file_labels(["a/x.csv", "a/y.csv"]), file_labels(["a/x.csv", "b/x.csv"])
+    (['x', 'y'], ['a_x', 'b_x'])
+    """
+    stems = [Path(source).stem for source in sources]
+    if len(set(stems)) == len(stems):
+        return stems
+    return [f"{Path(source).parent.name}_{stem}" for source, stem in zip(sources, stems, strict=True)]
+
+
+def chosen_loops(table: Sequence[Loop]) -> list[Loop]:
+    """One loop for each amplitude that differs by more than a tenth, of the output that answers most."""
+    chosen: list[Loop] = []
+    inputs = dict.fromkeys(loop.input for loop in table)
+    for name in inputs:
+        direct = max((loop for loop in table if loop.input == name), key=lambda loop: loop.height_um).output
+        own = [loop for loop in telling_loops(table) if (loop.input, loop.output) == (name, direct)]
+        own.sort(key=lambda loop: (-loop.amplitude_v, not loop.settled, -loop.start))
+        apart: list[Loop] = []
+        for loop in own:
+            if all(abs(loop.amplitude_v - other.amplitude_v) > 0.1 * other.amplitude_v for other in apart):
+                apart.append(loop)
+        chosen += apart[:MOST_AMPLITUDES]
+    return chosen

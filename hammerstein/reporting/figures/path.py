@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.experiment.selection import significant
+from hammerstein.experiment.report import significant
 from hammerstein.reporting.figures.style import (
     COLOURS,
     DARK,

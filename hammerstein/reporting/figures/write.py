@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from hammerstein.reporting.figures.style import COLOURS, DARK, PALE, PNG_COLOURS, PNG_DPI, styled
-from hammerstein.runtime.storage.manifest import Owner
-from hammerstein.runtime.storage.staging import staged
+from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import staged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,17 +1,20 @@
-"""Next drive of a periodic path, from the last drive and its readings, where its model is certain enough."""
+"""Iterative learning: next drive of a periodic path, from the last one and its readings, and as a law."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from hammerstein.arrays import Array, Complex
-from hammerstein.blocks import Law
+from hammerstein.blocks import Law, Learner
 from hammerstein.blocks.axis_names import column
+from hammerstein.blocks.driving import RangeLike
+from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.cycle import Cycle, Design, centred, design_of, played
 from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
@@ -19,6 +22,7 @@ from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearis
 from hammerstein.errors import InputError, naming
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import Deviation, Frequency, Trial
 from hammerstein.signals.signal_files import read_signal
 
 DEVIATIONS = 2.0  # standard deviations that are counted on
@@ -372,3 +376,77 @@ def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:
     if drive.shape[1] != samples:
         raise InputError(str(path), f"has {drive.shape[1]} rows, but a period of the path has {samples}")
     return drive
+
+
+class LearnedLaw(Learner):
+    """Iterative learning on the model's own inverse, see ``ilc_update``.
+
+    The first trial plays the settled period of the inverse. Each further trial corrects the drive before it
+    by the sensor's readings.
+
+    Parameters
+    ----------
+    model, inverse : what is known of the actuator, and its inverse, designed for the drive
+    uncertainty : relative uncertainty of the model
+    trial : the trial that is measured
+    """
+
+    def __init__(
+        self, model: HammersteinModel, inverse: Law[Any], uncertainty: ModelUncertainty, trial: int = 1
+    ):
+        self.model, self.inverse, self.uncertainty, self.trial = model, inverse, uncertainty, trial
+        self.n_inputs, self.n_outputs, self.range = inverse.n_inputs, inverse.n_outputs, inverse.range
+
+    def first(self, reference_um: Array) -> Array:
+        """Voltages of the inverse, see ``Learner.first``."""
+        return centred(self.inverse, self.model, reference_um)
+
+    def following(
+        self,
+        reference_um: Array,
+        drive_v: Array,
+        reading_um: Array,
+        before: tuple[Array, Array] | None = None,
+    ) -> Array:
+        """Voltages after an update; those of the trial before where this one was worse beyond the noise."""
+        bandwidth = self.model.instruments.sensor.bandwidth_hz
+        known = (self.model, self.inverse, reference_um)
+        taught = ilc_update(*known, drive_v, reading_um, self.uncertainty, bandwidth)
+        if before is not None:
+            taught = taught.after(ilc_update(*known, *before, self.uncertainty, bandwidth), before[0])
+        return taught.drive_v
+
+    def statement(self) -> str:
+        """Say what its inverse says, and that a sensor must be there."""
+        own = "Each trial after the first needs the sensor readings of the previous one."
+        return f"{own} {self.inverse.statement()}".strip()
+
+
+class Learned(Compensator):
+    """Iterative learning from a sensor, on the inverse of the model."""
+
+    law: Literal["learned"] = "learned"
+    inverse: Literal["exact_inverse", "hammerstein_inverse"] = Field(
+        default="hammerstein_inverse", description="law that computes the drive of a path"
+    )
+    filter_hz: Frequency | None = Field(
+        default=None, description="bandwidth of the reference filter of hammerstein_inverse"
+    )
+    weights: Deviation = Field(
+        default=WEIGHTS, description="relative standard deviation of the model's weights"
+    )
+    resonance: Deviation = Field(
+        default=RESONANCE, description="relative standard deviation of the model's resonances"
+    )
+    trial: Trial = Field(default=5, description="number of the measured trial; the first is without learning")
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> LearnedLaw:
+        """Build the learner, see ``Compensator.design``."""
+        filtered = {} if self.filter_hz is None else {"filter_hz": self.filter_hz}
+        asked: dict[str, Any] = {"law": self.inverse, **filtered}
+        inverse = COMPENSATORS.value(asked).design(model, range_v, sample_time_s)
+        assert isinstance(inverse, Law)  # each that may be named is one
+        return LearnedLaw(model, inverse, ModelUncertainty(self.weights, self.resonance), self.trial)
+
+
+COMPENSATORS.register(Learned)

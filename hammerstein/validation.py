@@ -1,4 +1,4 @@
-"""From pydantic's findings to mistakes that a person can mend."""
+"""Validation of files: findings of pydantic as mistakes with place and remedy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hammerstein.errors import InputError, Mistake
 
@@ -294,3 +294,9 @@ def _shown(value: Any) -> str:
     if not isinstance(value, str | int | float | bool):
         return ""
     return f", not {value!r}" if len(repr(value)) < MOST_SHOWN else ""
+
+
+class Strict(BaseModel):
+    """A frozen value that refuses keys that it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")

@@ -53,7 +53,7 @@ def interactive_of(
     Raises InputError where bokeh is not installed.
     """
     refuse_without_library()
-    from hammerstein.reporting.html.plots import plots_of
+    from hammerstein.reporting.plots import plots_of
 
     layout = plots_of(figures, steps)
     return None if layout is None else _embedded(layout)

@@ -29,22 +29,26 @@ from hammerstein.files import (
     register_cleanup,
     remove_empty,
 )
-from hammerstein.runtime.signals import uninterrupted
-from hammerstein.runtime.storage.exchange import NEW, Exchange, clear, exchange, recover
-from hammerstein.runtime.storage.manifest import (
+from hammerstein.runtime.manifest import (
     EMPTY,
     MANIFEST,
+    NEW,
     RESERVED,
+    Exchange,
     FileEntry,
     Manifest,
     Owner,
+    clear,
     digest_of,
+    exchange,
     is_inside,
     is_own_file,
     is_plain_file,
+    recover,
     refuse_file_name,
     refuse_link,
 )
+from hammerstein.runtime.signals import uninterrupted
 
 PATIENCE_S = 30.0
 """A report is written in less; who holds the lock longer hangs."""

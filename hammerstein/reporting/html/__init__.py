@@ -1,1 +1,0 @@
-"""Pages for a browser: one file each, that fetches nothing and reads well without scripts."""
