@@ -1,6 +1,6 @@
 from .blocks.instruments import Drive as Drive, Instruments as Instruments, Sensor as Sensor
-from .blocks.interop.limit_cycles import LimitCycle as LimitCycle, limit_cycles as limit_cycles
 from .blocks.law import Stream as Stream, stream as stream
+from .blocks.limit_cycles import LimitCycle as LimitCycle, limit_cycles as limit_cycles
 from .comparison.compare import compare as compare
 from .comparison.result import Comparison as Comparison
 from .compensators import (

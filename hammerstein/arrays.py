@@ -1,7 +1,8 @@
-"""Array types, and read-only arrays."""
+"""Array types, read-only arrays, and the parts in which loops work through signals."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -104,3 +105,28 @@ def allocate_wires(rows: int, samples: int) -> Array:
 def _keep() -> None:
     """Let glibc keep what is freed: up to twice the largest piece that it has seen freed, up to 32 MB."""
     np.empty(KEPT // 8)
+
+
+SPAN, LEAST = 2**25, 2**5
+"""Multiplications of one call, a tenth of a second, and the least that a sample counts for."""
+
+
+def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
+    """First sample and end of each part of a signal that a loop works through in one call.
+
+    Between two calls Python answers Ctrl-C, which it cannot while a loop runs. A loop that carries its state
+    on gives the same numbers to the last bit, however its signal is cut.
+
+    Parameters
+    ----------
+    samples : length of the signal
+    products : multiplications that a sample takes, about
+
+    Examples
+    --------
+    >>> list(spans(3_000_000))
+    [(0, 1048576), (1048576, 2097152), (2097152, 3000000)]
+    """
+    length = max(1, SPAN // max(products, LEAST))
+    for first in range(0, samples, length):
+        yield first, min(first + length, samples)

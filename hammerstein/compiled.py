@@ -33,8 +33,6 @@ event: Any = numba_events
 
 Loop = Callable[..., Any]
 
-SPAN, LEAST = 2**25, 2**5
-"""Multiplications of one call, a tenth of a second, and the least that a sample counts for."""
 LEAN: dict[str, Any] = {"no_cfunc_wrapper": True}
 """Nothing is made for C to call."""
 PACKAGE = Path(__file__).parent
@@ -85,27 +83,6 @@ def uncollected() -> Iterator[None]:
     finally:
         if was_on:
             gc.enable()
-
-
-def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
-    """First sample and end of each part of a signal that a loop works through in one call.
-
-    Between two calls Python answers Ctrl-C, which it cannot while a loop runs. A loop that carries its state
-    on gives the same numbers to the last bit, however its signal is cut.
-
-    Parameters
-    ----------
-    samples : length of the signal
-    products : multiplications that a sample takes, about
-
-    Examples
-    --------
-    >>> list(spans(3_000_000))
-    [(0, 1048576), (1048576, 2097152), (2097152, 3000000)]
-    """
-    length = max(1, SPAN // max(products, LEAST))
-    for first in range(0, samples, length):
-        yield first, min(first + length, samples)
 
 
 def _compile(compile_it: Callable[[Any], Any], folder: Path | None, name: str, given: Any) -> Any:

@@ -171,3 +171,11 @@ def markdown_page(template: str, package: str = "hammerstein", **content: Any) -
     """Page in Markdown; no two empty lines follow each other."""
     page = _pages(package).get_template(template).render(**content)
     return Markdown(re.sub(r"\n{3,}", "\n\n", page))
+
+
+JOINT = "\u00a0"  # a space at which no line ends
+
+
+def unbroken(text: str) -> str:
+    """Text in which no line ends between a number and its unit."""
+    return re.sub(r"(?<=\d) (?=(?:µm|um|nm|V|k?Hz|min|[mu]?s|%)(?!\w))", JOINT, text)

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, JsonValue
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from hammerstein.escaping import clean
 
 OUT_OF_RANGE = "out_of_range"
 
@@ -221,3 +224,46 @@ def duration(seconds: float) -> str:
             number = seconds / span
             return f"{number:.2g} {unit}" if number < 99 else f"{number:,.0f} {unit}"
     return f"{seconds / 60.0:.0f} minutes" if seconds >= 90.0 else f"{seconds:.2g} seconds"
+
+
+def unique(names: Sequence[str], written: Callable[[str], str] = str) -> tuple[str, ...]:
+    """Unique names: the second ``Volt`` becomes ``Volt_2``.
+
+    Parameters
+    ----------
+    names : in their order
+    written : form of a name in a file; two names must not have the same form
+
+    Examples
+    --------
+    >>> unique(["Volt", "Volt", "Volt_2"])
+    ('Volt', 'Volt_3', 'Volt_2')
+    >>> unique(["stage x", "stage_x"], word)
+    ('stage x', 'stage_x_2')
+    """
+    found: list[str] = []
+    for i, name in enumerate(names):
+        number, chosen = 2, name
+        before, behind = set(map(written, found)), set(map(written, names[i + 1 :]))
+        while written(chosen) in before or (chosen != name and written(chosen) in behind):
+            chosen, number = f"{name}_{number}", number + 1
+        found.append(chosen)
+    return tuple(found)
+
+
+def word(axis: str) -> str:
+    """Name of an axis within that of a column: nothing in it ends a cell or opens a comment.
+
+    >>> word("stage X, #2")
+    'stage_X_2'
+    """
+    return "_".join(clean(axis).replace("#", " ").replace(",", " ").split())
+
+
+def column(quantity: str, axis: str, unit: str) -> str:
+    """Name of the column of an axis in a file of ours.
+
+    >>> column("drive", "x", "v"), column("position", "stage X, #2", "um")
+    ('drive_x_v', 'position_stage_X_2_um')
+    """
+    return f"{quantity}_{word(axis)}_{unit}"

@@ -16,7 +16,7 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.block_system import BlockSystem
+    from hammerstein.blocks.block_system import BlockSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +209,7 @@ class Law(Designed, Generic[S]):
 
         Raises InputError for another sample time than the law was designed for.
         """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
 
         require_grid(self.sample_time_s, sample_time_s, "compensator")
         block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)

@@ -1,4 +1,4 @@
-"""Commands on voltages of a model: those that follow a path or erase the past, and what they move."""
+"""Commands on a model: voltages that follow a path or erase the past, what they move, and its code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import typer
 from hammerstein.commands.law_options import LawWords, RangeWords, Reached, Sent, volts
 from hammerstein.commands.options import grouped, refuse_output, told_by_options, write_output
 from hammerstein.commands.record_options import AsJson, Overwrite
-from hammerstein.commands.terminal import show, tell, tell_json, tell_statements
+from hammerstein.commands.terminal import show, tell, tell_json, tell_kept, tell_statements, watched
+from hammerstein.errors import InputError
 
 
 @grouped
@@ -72,9 +73,7 @@ def compensate(
     """
     from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
     from hammerstein.commands.terminal_tables import compensation_table
-    from hammerstein.commands.watch import watched
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
-    from hammerstein.errors import InputError
 
     if uncertainty is not None and learn is None:
         raise InputError("--uncertainty", "applies to --learn; give --learn DRIVE MEASURED too")
@@ -158,7 +157,6 @@ def play(
     """
     from hammerstein.commands.playing import PLAYED, played
     from hammerstein.commands.terminal_tables import played_table
-    from hammerstein.commands.watch import watched
 
     refuse_output(out, [Path(model), drive], PLAYED, overwrite)
     with watched() as onlooker:
@@ -169,3 +167,75 @@ def play(
         return
     show(played_table(found))
     tell(f"positions in {out}")
+
+
+FORMATS = ("c", "fmu")
+
+
+@grouped
+def export(
+    *,
+    model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,
+    law: Annotated[
+        str, typer.Option(help="A law of compensate, or model: the actuator itself.")
+    ] = "exact_inverse",
+    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: the same C code as an FMU.")] = "c",
+    fmi: Annotated[int, typer.Option(metavar="2|3", help="FMI version of the FMU: 2 or 3.")] = 3,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the code.")] = None,
+    check: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Repeat an export and compare the files.")
+    ] = None,
+    sample_time: Annotated[
+        float | None, typer.Option(metavar="S", help="Sample time; default: that of the model's drive.")
+    ] = None,
+    words: LawWords,
+    sent: Sent,
+    float32: Annotated[bool, typer.Option("--float32", help="Compute in single precision.")] = False,
+    overwrite: Overwrite = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Export a law or a model as C code or as an FMU.
+
+    The code runs without Python.
+    """
+    from hammerstein.export.folder import ALWAYS, EXPORT, check_export, write_export
+    from hammerstein.export.request import request_of
+    from hammerstein.runtime.staging import prepare_folder
+
+    if check is not None and model is None:
+        files = check_export(check)
+        if as_json:
+            tell_json({"check": str(check), "files": files})
+        else:
+            tell(f"{check}: all {len(files)} files match the model")
+        return
+    if check is not None or model is None:
+        raise InputError("export", "give a model and --out DIR, or only --check DIR")
+    if form not in FORMATS:
+        raise InputError("--format", f"{form!r} is not one of {', '.join(FORMATS)}")
+    if fmi not in (2, 3):
+        raise InputError("--fmi", f"{fmi} is not one of 2, 3")
+    if out is None:
+        raise InputError("--out", "name a folder for the code")
+    with told_by_options("compensate", words.own):
+        prepare_folder("--out", out, EXPORT, ALWAYS, overwrite)
+        request, loaded = request_of(
+            model,
+            law,
+            sample_time,
+            fmi=fmi,
+            options=words.options(),
+            range_v=sent.ends,
+            start_v=sent.begins,
+            conditioned=sent.conditioned,
+            accept_flagged=sent.accept_flagged,
+            float32=float32,
+            form=form,
+        )
+        written = write_export(request, loaded, out, overwrite)
+    tell_kept(written.kept)
+    if as_json:
+        tell_json({"export": str(out), "statements": written.statements, "files": written.files})
+        return
+    tell_statements(written.statements)
+    tell(f"{', '.join(written.files)} in {out}; run make check there to replay golden.csv")

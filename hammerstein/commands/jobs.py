@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hammerstein.commands.terminal import complain
+from hammerstein.errors import InputError
 from hammerstein.runtime.resources import processors
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def process_pool(jobs: parallel_tasks.Jobs, seconds: float) -> AbstractContextMa
 
     Threads of one process share Python's interpreter, but begin at once.
     """
-    from hammerstein.runtime.workers import ProcessesAndThis
+    from hammerstein.runtime.parallel_tasks import ProcessesAndThis
 
     if isinstance(jobs, int) and jobs > 1 and seconds > WORTH_PROCESSES_S:
         return ProcessesAndThis(jobs)
@@ -67,7 +68,6 @@ def announce(text: str, seconds: float, yes: bool) -> None:
 
     Raises InputError if it takes more than ten minutes, a person watches, and has not agreed.
     """
-    from hammerstein.errors import InputError
     from hammerstein.experiment.plan import LONG_S, TOLD_S
 
     if seconds <= TOLD_S:

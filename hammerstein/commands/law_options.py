@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hammerstein.errors import InputError
+
 if TYPE_CHECKING:
     from hammerstein.compensators.drive_file import Terms
 
@@ -39,8 +41,6 @@ class LawWords:
 
         Raises InputError for a gain that no word stands for, and for an option without a key or given twice.
         """
-        from hammerstein.errors import InputError
-
         if self.gain not in (None, "auto", "identity"):
             what = f"must be auto or identity, not {self.gain!r}; put a matrix into a scenario"
             raise InputError("--gain", what)
@@ -144,8 +144,6 @@ class Reached:
 
     def refuse_with_period(self) -> None:
         """Raise InputError for options that a period does not use, because it writes a run-up of its own."""
-        from hammerstein.errors import InputError
-
         if self.lead_in or self.offset is not None or self.approach_side is not None:
             options = "--lead-in, --offset, --approach-side"
             raise InputError(options, "are for a path, not for --cycle or --table")
@@ -159,8 +157,6 @@ def volts(option: str, words: str | None) -> tuple[float, ...] | None:
     >>> volts("--range", "0,120")
     (0.0, 120.0)
     """
-    from hammerstein.errors import InputError
-
     if words is None:
         return None
     try:

@@ -13,6 +13,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO, get_type_hints
 
 from typer.models import ArgumentInfo
 
+from hammerstein.commands.terminal import tell_kept
+from hammerstein.errors import InputError
+
 if TYPE_CHECKING:
     from hammerstein.runtime.manifest import Owner
 
@@ -30,7 +33,6 @@ _OPTIONS = {
 
 def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) -> None:
     """Refuse an output that cannot be written, is somebody's file, or one of the files that are read."""
-    from hammerstein.errors import InputError
     from hammerstein.runtime.staging import prepare_file
 
     if any(path.resolve() == out.resolve() for path in inputs):
@@ -40,7 +42,6 @@ def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) 
 
 def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bool) -> None:
     """Write one file; say where the one went that a person had changed."""
-    from hammerstein.commands.terminal import tell_kept
     from hammerstein.runtime.staging import write_file
 
     tell_kept(write_file(out, content, owner, overwrite))
@@ -52,8 +53,6 @@ def told_by_options(source: str, own: Collection[str] = ()) -> Iterator[None]:
 
     own : keys that were given as ``--option KEY=VALUE``
     """
-    from hammerstein.errors import InputError
-
     try:
         yield
     except InputError as error:

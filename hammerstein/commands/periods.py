@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from hammerstein.commands.law_options import volts
 from hammerstein.commands.options import write_output
 from hammerstein.commands.terminal import tell, tell_json, tell_statements
+from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
     from hammerstein.compensators.cycle import Cycle
@@ -27,7 +28,6 @@ class TableRequest(NamedTuple):
     def check(self) -> None:
         """Raise InputError for words that are none, before anything is computed."""
         from hammerstein.compensators.wave_table import DEVICES
-        from hammerstein.errors import InputError
 
         if self.device is None and (self.scale is not None or self.points is not None):
             raise InputError("--table-scale, --table-points", "need --table")
@@ -48,8 +48,6 @@ class TableRequest(NamedTuple):
 
     def factors(self) -> tuple[float, float] | None:
         """Factor and offset from volts to the numbers of the table."""
-        from hammerstein.errors import InputError
-
         scale = volts("--table-scale", self.scale)
         if scale is None:
             return None
@@ -110,7 +108,6 @@ def write_ilc_update(
 ) -> None:
     """Write the next period of a periodic path, from a trial."""
     from hammerstein.compensators.learning import ModelUncertainty, learn_from_files
-    from hammerstein.errors import InputError
 
     deviations = volts("--uncertainty", uncertainty) or ()
     if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hammerstein.commands.options import told_by_options
 from hammerstein.commands.terminal import complain
+from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
     from hammerstein.identification.in_loop.identify import LoopSettings
@@ -90,7 +92,6 @@ class RecordFiles:
 
     def _scale(self) -> float | None:
         """Factor from the displacements of the files to um, where an option gives it."""
-        from hammerstein.errors import InputError
         from hammerstein.signals.units import displacement_factor
 
         if self.units is None:
@@ -110,16 +111,12 @@ class RecordFiles:
 
     def _pairs(self, files: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
         """Files with voltages and with displacements, in the order in which they were given."""
-        from hammerstein.errors import InputError
-
         if len(files) % 2:
             what = "files come in pairs, first voltages, then displacements; "
             raise InputError("--axes", f"{what}{files[-1]} has no partner")
         return zip(files[::2], files[1::2], strict=True)
 
     def _of(self, voltages: Path, displacements: Path, all_driven: bool) -> tuple[Record, ...]:
-        from hammerstein.commands.options import told_by_options
-        from hammerstein.errors import InputError
         from hammerstein.records.reading import read_paired_records
 
         if self.rate is None or self.time is not None:
@@ -139,7 +136,6 @@ class RecordFiles:
 
     def gains(self, records: Sequence[Record]) -> list[Gain]:
         """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
-        from hammerstein.errors import InputError
         from hammerstein.records.gains import (
             doubtful_clocks,
             doubtful_gains,
@@ -188,8 +184,6 @@ class HeldBack:
 
     def refuse_fitted(self, files: Sequence[Path]) -> None:
         """Refuse a validation record that is also fitted."""
-        from hammerstein.errors import InputError
-
         fitted = {file.resolve() for file in files}
         twice = sorted({str(file) for file in self.validate or () if file.resolve() in fitted})
         if twice:
@@ -231,8 +225,6 @@ class InLoop:
 
     def refuse_unused(self, words: Sequence[str]) -> None:
         """Refuse options of other models, which its search would ignore."""
-        from hammerstein.errors import InputError
-
         unused = [word for word in words if word.startswith("--") and word not in OF_THE_LOOP]
         if self.hysteresis_in_loop and unused:
             raise InputError("--hysteresis-in-loop", f"does not use {', '.join(unused)}; remove it")
@@ -285,7 +277,6 @@ class Identified:
 
     def settings(self, **more: Any) -> Settings:
         """The settings, with what one command alone asks for."""
-        from hammerstein.commands.options import told_by_options
         from hammerstein.identification.settings import settings_of
 
         asked = asdict(self)

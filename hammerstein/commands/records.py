@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,8 +23,9 @@ from hammerstein.commands.record_options import (
     RecordFiles,
     StaticBlock,
 )
-from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_kept, tell_statements
-from hammerstein.commands.watch import Spinner
+from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
+from hammerstein.errors import InputError, naming
+from hammerstein.escaping import one_line
 
 if TYPE_CHECKING:
     from hammerstein.identification.fit import Fit
@@ -41,8 +43,6 @@ MOST_LOOPS = 8
 
 def folder_name(files: Sequence[Path]) -> str:
     """Name of the folder of several records: no other set of records has it."""
-    from hashlib import sha256
-
     from hammerstein.reporting.figures.loops import file_labels
 
     labels = file_labels([str(file) for file in files])
@@ -67,7 +67,6 @@ def loops(
     Of each loop: height, width, area, closure, drift.
     """
     from hammerstein.commands.terminal_tables import gains_table
-    from hammerstein.errors import InputError
     from hammerstein.records.gains import refuse_swapped
     from hammerstein.records.loops import loop_table, move_at_once, turned_backwards, without_loops
     from hammerstein.reporting.figures.loops import LOOPS, LOOPS_FILES, loops_of_records
@@ -184,7 +183,6 @@ def _identified(
     records: Sequence[Record], settings: Settings | LoopSettings, validation: Sequence[Record], out: Path
 ) -> tuple[HammersteinModel, Fit]:
     """Model and fit report, with progress on the terminal."""
-    from hammerstein.escaping import one_line
     from hammerstein.identification.identify import identify as identify_model
     from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
     from hammerstein.quantities import LONGEST_NAME
@@ -218,7 +216,6 @@ def compare(
     """
     from hammerstein.commands.terminal_tables import comparison_table, facts_table, rates_table
     from hammerstein.comparison.compare import compare as compared
-    from hammerstein.errors import naming
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
     from hammerstein.runtime.staging import prepare_folder
 

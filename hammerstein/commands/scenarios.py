@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
+from hammerstein.commands.options import write_output
 from hammerstein.commands.record_options import AsJson, Overwrite
-from hammerstein.commands.terminal import complain, show, tell, tell_json, tell_kept
-from hammerstein.commands.watch import Watch
+from hammerstein.commands.terminal import Watch, complain, show, tell, tell_json, tell_kept
+from hammerstein.errors import InputError
+from hammerstein.files import refuse_unwritable
 from hammerstein.runtime.resources import folder_of_runs
 
 if TYPE_CHECKING:
@@ -65,9 +67,7 @@ def run(
 
     A report has numbers, a page and figures. Results are cached and not computed twice.
     """
-    from hammerstein.errors import InputError
     from hammerstein.experiment.run import load_all
-    from hammerstein.files import refuse_unwritable
     from hammerstein.reporting.folder import Writer
     from hammerstein.reporting.interactive import refuse_without_library
     from hammerstein.reporting.overview import OVERVIEW, PAGE
@@ -119,8 +119,6 @@ def _assessed(scenarios: Iterable[Scenario], page: Path | None) -> list[type[Ass
 
     Raises InputError where none could write the page that is wanted.
     """
-    from hammerstein.errors import InputError
-
     kinds = list(dict.fromkeys(type(s.assessment) for s in scenarios if s.assessment is not None))
     if page is not None and not kinds:
         raise InputError("--page", "no scenario has an [assessment], so the page would be empty")
@@ -279,7 +277,6 @@ def check(
 
     They are run again, and every number is compared with its baseline.
     """
-    from hammerstein.commands.options import write_output
     from hammerstein.experiment.run import load_all
     from hammerstein.regression.check import check_files
     from hammerstein.regression.result import JUNIT, SUMMARY
@@ -314,7 +311,6 @@ def check(
 
 def one_scenario(path: Path) -> tuple[str, Scenario]:
     """Name and scenario of a file; InputError for a folder."""
-    from hammerstein.errors import InputError
     from hammerstein.experiment.run import load_all
 
     if path.is_dir():

@@ -13,6 +13,7 @@ import typer
 
 from hammerstein.commands.record_options import AsJson
 from hammerstein.commands.terminal import show as show_table, tell, tell_json
+from hammerstein.errors import InputError
 
 STARTER, GUIDE = Path(__file__).parents[1] / "starter", Path(__file__).parents[1] / "guide"
 FIRST = ("start", "record", "identify", "compensators")
@@ -59,7 +60,6 @@ def _brought_by(assessment: str) -> Mapping[str, Path]:
 
     Raises InputError where no such kind brings any.
     """
-    from hammerstein.errors import InputError
     from hammerstein.plugins import load_plugins
     from hammerstein.scenario.assessment import ASSESSMENTS
 
@@ -75,8 +75,6 @@ def _refuse_existing(target: Path, names: Sequence[str]) -> None:
 
     A file or a link where a folder is to be stands in the way, too.
     """
-    from hammerstein.errors import InputError
-
     folders = {place for name in names for place in Path(name).parents if place != Path(".")}
     there = [name for name in names if os.path.lexists(target / name)]
     there += sorted(f.as_posix() for f in folders if (target / f).is_symlink() or (target / f).is_file())
@@ -112,7 +110,6 @@ def guide(
 ) -> None:
     """Read the guide."""
     from hammerstein.commands.terminal_tables import facts_table
-    from hammerstein.errors import InputError
 
     pages = guide_pages()
     if topic is None:

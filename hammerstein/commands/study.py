@@ -15,10 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
+from hammerstein.commands.options import write_output
 from hammerstein.commands.record_options import Overwrite
 from hammerstein.commands.scenarios import one_scenario
-from hammerstein.commands.terminal import complain, tell
-from hammerstein.commands.watch import Watch
+from hammerstein.commands.terminal import Watch, complain, tell
+from hammerstein.errors import InputError
+from hammerstein.escaping import cell
+from hammerstein.files import reason_of
+from hammerstein.runtime.resources import cache_folder
 
 if TYPE_CHECKING:
     from hammerstein.experiment.study import Sampled
@@ -80,7 +84,6 @@ def sweep(
 
 def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
     """Where the rows go: a place that can be written to; None where nothing is written."""
-    from hammerstein.errors import InputError
     from hammerstein.runtime.manifest import SWEEP
     from hammerstein.runtime.staging import prepare_file
 
@@ -109,9 +112,6 @@ def _written(out: Path, overwrite: bool) -> Iterator[_Csv | _Parquet]:
 
     Raises InputError where another sweep is writing it.
     """
-    from hammerstein.commands.options import write_output
-    from hammerstein.errors import InputError
-    from hammerstein.files import reason_of
     from hammerstein.runtime.manifest import SWEEP
 
     try:
@@ -134,7 +134,6 @@ def _alone(out: Path) -> Iterator[None]:
     The lock lies in the user's cache folder, where a killed sweep leaves nothing beside the file. Where there
     is no such folder, the one that ends last has its rows in the file.
     """
-    from hammerstein.runtime.resources import cache_folder
     from hammerstein.runtime.staging import locked
 
     with contextlib.ExitStack() as held:
@@ -166,7 +165,6 @@ class _Csv:
         self._writer: Any = None
 
     def add(self, one: Sampled) -> None:
-        from hammerstein.escaping import cell
 
         for line in _lines(one):
             if self._writer is None:
@@ -180,7 +178,6 @@ class _Csv:
 
 class _Parquet:
     def __init__(self, file: BinaryIO) -> None:
-        from hammerstein.errors import InputError
 
         try:
             import pyarrow

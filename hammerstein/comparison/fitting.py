@@ -22,8 +22,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
-from hammerstein.runtime.parallel_tasks import Jobs, in_order
-from hammerstein.runtime.workers import Processes
+from hammerstein.runtime.parallel_tasks import Jobs, Processes, in_order
 
 Progress = Callable[[str, int, int], None]
 """Told what is being done, how many identifications are done, and of how many."""

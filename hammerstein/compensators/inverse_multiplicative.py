@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, spans
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
@@ -203,7 +203,6 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
     ) -> tuple[Array, FeedbackState]:
         """Run the same loop over the samples, compiled."""
         from hammerstein.compensators.kernels import respond_inverse_multiplicative
-        from hammerstein.compiled import spans
 
         plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
         assert isinstance(plays, PlayState)

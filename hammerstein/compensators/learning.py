@@ -12,7 +12,6 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law, Learner
-from hammerstein.blocks.axis_names import column
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.cycle import Cycle, Design, centred, design_of, played
@@ -22,7 +21,7 @@ from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearis
 from hammerstein.errors import InputError, naming
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import Deviation, Frequency, Trial
+from hammerstein.quantities import Deviation, Frequency, Trial, column
 from hammerstein.signals.signal_files import read_signal
 
 DEVIATIONS = 2.0  # standard deviations that are counted on

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.escaping import clean
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import duration, size
+from hammerstein.quantities import column, duration, size
 from hammerstein.runtime.resources import free_bytes
 from hammerstein.signals.signal_files import chosen, read_signal
 from hammerstein.signals.units import displacement_factor, unit_in

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.axis_names import column
 from hammerstein.compensators.cycle import Cycle, held_error, held_least
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.metrics import rms
+from hammerstein.quantities import column
 from hammerstein.runtime.manifest import Owner
 
 WAVE_TABLE = Owner("wave table", single=True)

@@ -1,8 +1,12 @@
 """Dynamics of the actuator, linear or with hysteresis in the loop, and their exact discretisation."""
 
-from hammerstein.dynamics.electromechanical import ElastoSlip, ElectromechanicalDynamics, StackAxis
 from hammerstein.dynamics.feedback_block import FeedbackBlock
-from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
+from hammerstein.dynamics.feedback_hysteresis import (
+    ElastoSlip,
+    ElectromechanicalDynamics,
+    FeedbackHysteresisDynamics,
+    StackAxis,
+)
 from hammerstein.dynamics.linear_block import LinearBlock, low_pass
 from hammerstein.dynamics.models import (
     AxesDynamics,

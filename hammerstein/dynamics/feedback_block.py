@@ -9,8 +9,8 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, times
-from hammerstein.blocks.interop.packing import Packing
+from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, spans, times
+from hammerstein.blocks.block_system import Packing
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.quantities import Entry, InputNumber
@@ -273,7 +273,6 @@ class FeedbackBlock(SteppedBlock, ByValue):
         if not isinstance(self.hysteresis, PrandtlIshlinskii):
             self._step_by_step(u_v, state, first, stop, y_um)
             return
-        from hammerstein.compiled import spans
         from hammerstein.dynamics.feedback_kernel import respond_plays
 
         bank, n = self.hysteresis.bank, len(self.A)

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of
+from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of, spans
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
     import control
 
-    from hammerstein.blocks.interop.block_system import BlockSystem
+    from hammerstein.blocks.block_system import BlockSystem
 
 CONTINUOUS = 0.0  # sample time [s] of a block in continuous time, as python-control writes it
 MOST_DELAY_STATES = 2000  # a matrix of 4 million entries
@@ -97,7 +97,7 @@ class SteppedBlock(ABC):
 
         It has its own sample time; InputError for another one.
         """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
 
         require_grid(self.sample_time_s, sample_time_s, self.called)
         block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
@@ -195,7 +195,6 @@ class LinearBlock(SteppedBlock, ByValue):
 
     def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Write outputs into y_um (p, sample) for a range of samples; ``state`` (n,) is updated."""
-        from hammerstein.compiled import spans
         from hammerstein.dynamics.path_kernel import respond_linear
 
         for start, end in spans(stop - first, len(self.entries[2])):

@@ -15,9 +15,12 @@ from numpy.typing import ArrayLike
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics.electromechanical import ElectromechanicalDynamics
 from hammerstein.dynamics.feedback_block import FeedbackBlock
-from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics, MatrixForm
+from hammerstein.dynamics.feedback_hysteresis import (
+    ElectromechanicalDynamics,
+    FeedbackHysteresisDynamics,
+    MatrixForm,
+)
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
 from hammerstein.errors import InputError
 from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Resonance, TimeConstant
@@ -237,7 +240,7 @@ class StateSpaceDynamics(MatrixForm):
         >>> StateSpaceDynamics.of(control.tf([1.0], [1e-6, 1e-4, 1.0])).describe()
         'state space of order 2, continuous'
         """
-        from hammerstein.blocks.interop.linear_system import matrices_of
+        from hammerstein.blocks.limit_cycles import matrices_of
 
         a, b, c, d, sample_time_s = matrices_of(system)
         rows = {k: tuple(map(tuple, m.tolist())) for k, m in zip("ABCD", (a, b, c, d), strict=True)}

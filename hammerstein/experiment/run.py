@@ -28,10 +28,9 @@ from hammerstein.metrics import Row
 from hammerstein.model.simulation import Response
 from hammerstein.runtime.faults import as_error
 from hammerstein.runtime.manifest import refuse_name
-from hammerstein.runtime.parallel_tasks import Jobs
+from hammerstein.runtime.parallel_tasks import Jobs, Processes
 from hammerstein.runtime.resources import one_blas_thread
 from hammerstein.runtime.store import Store
-from hammerstein.runtime.workers import Processes
 from hammerstein.scenario import Scenario, load_scenario, scenario_of
 from hammerstein.scenario.scenario import ScenarioSource
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.decoupled_inverse import DecoupledInverseLaw
 from hammerstein.compensators.exact import inverse_kernel as exact_kernel, piece_kernels as pieces
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
 from hammerstein.compensators.exact.other_kinds import (
@@ -19,9 +18,9 @@ from hammerstein.compensators.exact.other_kinds import (
 )
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.kernels import STILL_V
-from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
+from hammerstein.compensators.simple_laws import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.errors import InputError
 from hammerstein.export.c_blocks import (
     CPart,

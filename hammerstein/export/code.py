@@ -21,11 +21,10 @@ from hammerstein.dynamics import discretise
 from hammerstein.escaping import C, Markdown, templates_of
 from hammerstein.export.c_blocks import CPart, Size, Table, c_block_of
 from hammerstein.export.c_laws import c_law_of
-from hammerstein.export.compiling import FLAGS, CallShape, Library
-from hammerstein.export.golden import adverse
 from hammerstein.export.literals import identifier, in_single_precision, initializer
 from hammerstein.export.operations import Code, Cost
 from hammerstein.export.request import MODEL, ForwardModel, Request
+from hammerstein.export.trial import FLAGS, CallShape, Library, adverse
 from hammerstein.hysteresis import Parallel, ParallelState
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V

@@ -22,15 +22,14 @@ import numpy as np
 from pydantic import model_validator
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, MeasuredCode, rendered
-from hammerstein.export.compiling import FLAGS, build, compiler
-from hammerstein.export.golden import SAMPLES, entering, worst_case_step
 from hammerstein.export.literals import literal
 from hammerstein.export.request import Request
+from hammerstein.export.trial import FLAGS, SAMPLES, build, compiler, entering, worst_case_step
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import column
 from hammerstein.runtime.manifest import Owner
 from hammerstein.runtime.staging import staged
 from hammerstein.validation import Strict, mistakes_in

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, frozen
+from hammerstein.arrays import Array, frozen, spans
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
@@ -217,7 +217,6 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         return self.respond(path_v, BoucWenState(self.rest().z_v, path_v[:, 0].copy()))[1]
 
     def _respond(self, u_v: Array, start: BoucWenState) -> tuple[Array, BoucWenState]:
-        from hammerstein.compiled import spans
         from hammerstein.hysteresis.bouc_wen_kernels import respond_bouc_wen
 
         refuse_not_finite(u_v)

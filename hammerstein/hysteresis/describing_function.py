@@ -13,7 +13,7 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis.pair import Pair
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
     from hammerstein.hysteresis.kind import Hysteresis
 
 
@@ -107,7 +107,7 @@ def nonlinearity_of(
 
     Raises InputError for more than one input or output, or a range within which no operator moves.
     """
-    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
     if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
         axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"

@@ -30,7 +30,7 @@ from hammerstein.hysteresis.shape_kernels import bent_at, tanh_by_doubling
 from hammerstein.quantities import Offset, PerVolt
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
 FIRST_KNOTS = (0.25, 0.5, 0.75)
 """Where the slope of the first envelopes changes, in parts of the range."""

@@ -31,7 +31,7 @@ from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.block_system import BlockSystem
+    from hammerstein.blocks.block_system import BlockSystem
 
 SWEEP_SAMPLES = 200
 """Samples of one way of a loop that is driven to see how far it reaches."""
@@ -257,7 +257,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
         Raises InputError for a sample time that is not above zero.
         """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
 
         require_grid(None, sample_time_s, "hysteresis")
         here = self.on_grid(sample_time_s)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake
 
@@ -37,7 +37,6 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     >>> play([0.0, 2.0, 1.0, -2.0], [0.5])
     array([[ 0. ,  1.5,  1.5, -1.5]])
     """
-    from hammerstein.compiled import spans
     from hammerstein.hysteresis.play_kernels import play_bank
 
     voltages, thresholds = _line("u", u), _line("r", np.atleast_1d(r))
@@ -254,8 +253,6 @@ class Bank:
     @classmethod
     def of(cls, pairs: Sequence[Sequence[Pair]]) -> Bank:
         """Merge the pairs (output, input) onto one grid an input."""
-        from hammerstein.hysteresis.play_kernels import search_guide
-
         p, m = len(pairs), len(pairs[0])
         grids = [np.unique(np.concatenate([pairs[o][k].thresholds_v for o in range(p)])) for k in range(m)]
         n = np.array([len(grid) for grid in grids], dtype=np.int64)
@@ -273,3 +270,19 @@ class Bank:
         guide, scale = search_guide(r, n)
         freeze(n, r, w, slope, moment, lines, guide, scale)
         return cls(n, r, w, slope, moment, lines, guide, scale)
+
+
+def search_guide(r: Array, n: Indices) -> tuple[Indices, Array]:
+    """Where ``first_at_least`` of ``play_kernels`` begins: guide (m, levels), scale (m,).
+
+    Levels go in steps of 1 / scale, two steps a threshold on average. Guides are a hair early, so that
+    rounding makes none late.
+    """
+    steps = 2 * r.shape[1]
+    guide, scale = np.zeros((r.shape[0], steps + 2), np.int64), np.zeros(r.shape[0])
+    for k, grid in enumerate(r[k, : n[k]] for k in range(r.shape[0])):
+        if len(grid) > 1 and grid[-1] > 1e-290:
+            scale[k] = steps / grid[-1]
+            levels = np.arange(steps + 2) / scale[k] * (1.0 - 1e-14)
+            guide[k] = np.minimum(np.searchsorted(grid, levels), len(grid) - 1)
+    return guide, scale

@@ -35,7 +35,6 @@ Source: Brokate and Sprekels, Hysteresis and Phase Transitions (1996), chapter 2
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.busy_kernels import (
@@ -69,24 +68,6 @@ def play_bank(u, r, plays, first, stop, p):  # type: ignore[no-untyped-def]
             now = max(u[at(t)] - r[i], min(u[at(t)] + r[i], now))
             p[i, at(t)] = now
         plays[i] = now
-
-
-def search_guide(
-    r: NDArray[np.float64], n: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Where ``first_at_least`` begins: guide (m, levels), scale (m,).
-
-    Levels go in steps of 1 / scale, two steps a threshold on average. Guides are a hair early, so that
-    rounding makes none late.
-    """
-    steps = 2 * r.shape[1]
-    guide, scale = np.zeros((r.shape[0], steps + 2), np.int64), np.zeros(r.shape[0])
-    for k, grid in enumerate(r[k, : n[k]] for k in range(r.shape[0])):
-        if len(grid) > 1 and grid[-1] > 1e-290:
-            scale[k] = steps / grid[-1]
-            levels = np.arange(steps + 2) / scale[k] * (1.0 - 1e-14)
-            guide[k] = np.minimum(np.searchsorted(grid, levels), len(grid) - 1)
-    return guide, scale
 
 
 @helper()
@@ -192,7 +173,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
 ):
     """Turning-point form: the same outputs as the textbook loop; the memory is updated in place.
 
-    u : (m, N), from sample begin up to finish; r : (m, n_max); guide, scale : see ``search_guide``; n : (m,)
+    u : (m, N), from sample begin up to finish; r : (m, n_max); guide, scale : ``search_guide``; n : (m,)
     lines : (m, n_max+1, 2 p) W of each output, then R of each output; w : (m, n_max, p) weights
     count : (m,); end, x, d : (m, n_max+1); below : (m, n_max+1, p), see ``move``
     window : (m, columns), see ``busy_kernels``; y : (p, N), overwritten

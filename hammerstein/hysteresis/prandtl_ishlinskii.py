@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, frozen
+from hammerstein.arrays import Array, frozen, spans
 from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
@@ -34,7 +34,7 @@ from hammerstein.hysteresis.pair import (
 )
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
 
 LEAST_ENGAGED = 1e-3
@@ -179,7 +179,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
 
     def carry_on(self, u_v: Array, start: PlayState, first: int, stop: int, v_um: Array) -> PlayState:
         """Put outputs into an array, without another one between; see ``Hysteresis.carry_on``."""
-        from hammerstein.compiled import spans
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
         b, s = self.bank, start.copy()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, Flags, Indices, freeze, freeze_fields, frozen
+from hammerstein.arrays import Array, Flags, Indices, freeze, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
@@ -26,7 +26,7 @@ from hammerstein.hysteresis.kind import (
 from hammerstein.quantities import Offset, Weight
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.limit_cycles import HysteresisNonlinearity
+    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
 MOST_CELLS = 40
 """Cells on a side of a plane at most: 820 weights a pair."""
@@ -90,7 +90,6 @@ class Planes:
 
     def run(self, u_v: Array, start: PreisachState) -> tuple[Array, PreisachState]:
         """Outputs (p, N) for voltages (m, N) relative to the working point, and the memory after them."""
-        from hammerstein.compiled import spans
         from hammerstein.hysteresis.preisach_kernels import respond_preisach
 
         own, y = start.copy(), np.empty((self.node.shape[3], u_v.shape[1]))

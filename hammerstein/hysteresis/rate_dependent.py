@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
@@ -235,7 +235,6 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
 
     def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
-        from hammerstein.compiled import spans
         from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
 
         refuse_not_finite(u_v)

@@ -4,8 +4,8 @@ To add one, write a function of a ``Measured`` and register it with ``metric``: 
 tolerances and baseline follow.
 """
 
-from hammerstein.metrics.arrays import LoopFigures, drift, euclidean, loop_figures, rms, worst
-from hammerstein.metrics.metric import KEY, METRICS, Keyed, Measured, Metric, Row, metric, metrics_of
+from hammerstein.metrics.arrays import LoopFigures, euclidean, loop_figures, rms, worst
+from hammerstein.metrics.metric import KEY, METRICS, Keyed, Measured, Metric, Row, drift, metric, metrics_of
 
 __all__ = [
     "KEY",

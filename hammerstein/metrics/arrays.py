@@ -84,16 +84,6 @@ def euclidean(error: Array) -> Array:
     return np.asarray(np.linalg.norm(error, axis=0))
 
 
-def drift(error: Array, samples_a_cycle: int) -> Array:
-    """Mean error of the last cycle minus that of the first (axis,), from the error (axis, sample).
-
-    >>> drift(np.array([[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]]), 2)
-    array([4.])
-    """
-    first, last = error[:, :samples_a_cycle], error[:, -samples_a_cycle:]
-    return np.asarray(last.mean(axis=1) - first.mean(axis=1))
-
-
 @dataclass(frozen=True)
 class LoopFigures:
     """A settled loop: what the eye reads from it.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError
-from hammerstein.metrics.arrays import LoopFigures, drift, euclidean, worst
+from hammerstein.metrics.arrays import LoopFigures, euclidean, worst
 
 RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
 
@@ -390,3 +390,13 @@ class Row(Keyed):
         """Everything in the row by name, None where a figure has no meaning."""
         names = (*(metric.name for metric in metrics_of()), *self.figures)
         return self.key() | {name: self.figures.get(name) for name in names}
+
+
+def drift(error: Array, samples_a_cycle: int) -> Array:
+    """Mean error of the last cycle minus that of the first (axis,), from the error (axis, sample).
+
+    >>> drift(np.array([[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]]), 2)
+    array([4.])
+    """
+    first, last = error[:, :samples_a_cycle], error[:, -samples_a_cycle:]
+    return np.asarray(last.mean(axis=1) - first.mean(axis=1))

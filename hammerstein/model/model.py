@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, Field, JsonValue
 
 from hammerstein.arrays import Array, ByValue
-from hammerstein.blocks.axis_names import unique, word
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.law import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
@@ -28,11 +27,11 @@ from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Norma
 from hammerstein.model.covariance import ParameterCovariance, ParameterCovarianceFile, drawn_blocks
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.plugins import looked_up
-from hammerstein.quantities import Name, Plain, Size, no_name
+from hammerstein.quantities import Name, Plain, Size, no_name, unique, word
 from hammerstein.validation import Strict, mistakes_in, suggestion
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.block_system import BlockSystem
+    from hammerstein.blocks.block_system import BlockSystem
     from hammerstein.compensators.drive_file import Compensation, LawLike
     from hammerstein.model.simulation import Plant, Response, Wire
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from hammerstein.arrays import Array, allocate_wires
 from hammerstein.blocks import Controller
-from hammerstein.blocks.axis_names import column
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import FeedbackBlock, LinearBlock, on_grid
@@ -21,13 +20,13 @@ from hammerstein.hysteresis import Memory
 from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.model import HammersteinModel
 from hammerstein.notebook_repr import NotebookRepr
-from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range, column
 
 if TYPE_CHECKING:
     import control
     import pandas as pd
 
-    from hammerstein.blocks.interop.block_system import BlockSystem
+    from hammerstein.blocks.block_system import BlockSystem
 
 Wire = Literal["reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um"]
 OF_INPUTS = ("requested_v", "drive_v", "saturated")
@@ -163,14 +162,14 @@ class Response(NotebookRepr):
 
         Raises InputError for a reference that this run does not have.
         """
-        from hammerstein.blocks.interop.block_system import time_response
+        from hammerstein.blocks.block_system import time_response
 
         given: tuple[Wire, ...] = ("drive_v",) if self.reference_um is None else ("reference_um",)
         return time_response(self.time_s, self._signals(outputs), self._signals(inputs or given))
 
     def _signals(self, wires: Sequence[str]) -> dict[str, Array]:
         """Signals of some wires by the names that systems give them, ``drive_v[0]`` and so on."""
-        from hammerstein.blocks.interop.block_system import signals
+        from hammerstein.blocks.block_system import signals
 
         found: dict[str, Array] = {}
         for name in wires:
@@ -390,7 +389,7 @@ class Plant:
 
         Raises InputError for a wire that does not leave the plant.
         """
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
 
         inside = ("reference_um", "requested_v", "saturated")
         counts = dict.fromkeys(OF_OUTPUTS, self.model.hysteresis.n_outputs)

@@ -18,8 +18,16 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.records import checks
 from hammerstein.records.checks import refuse_large as refuse_large
-from hammerstein.records.logger_files import Variable, Variables, excel_columns, stated_unit, tdms_channels
-from hammerstein.records.matlab_v5 import is_matlab_v4, is_matlab_v5, read_matlab_v5
+from hammerstein.records.file_formats import (
+    Variable,
+    Variables,
+    excel_columns,
+    is_matlab_v4,
+    is_matlab_v5,
+    read_matlab_v5,
+    stated_unit,
+    tdms_channels,
+)
 
 HDF5, HEADER_BYTES = b"\x89HDF\r\n\x1a\n", 512
 """Sign of an HDF5 file, and size of MATLAB's header before it."""

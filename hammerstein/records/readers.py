@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.arrays import Array, Indices
-from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
+from hammerstein.quantities import unique
 from hammerstein.records.array_files import SUFFIXES, array_columns, array_units, refuse_large, whole_array
 from hammerstein.records.checks import gap_mistakes
 from hammerstein.signals.signal_files import OF_TIME

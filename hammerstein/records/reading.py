@@ -367,7 +367,7 @@ def records_of_time_response(
     >>> records_of_time_response(data)
     (Record('time response': 300 samples of 0.001 s; u[0] -1 to 0.9999 V; y[0] -4.641 to 4.654 um),)
     """
-    from hammerstein.blocks.interop.block_system import traces_of
+    from hammerstein.blocks.block_system import traces_of
 
     fed = tuple(inputs if inputs is not None else data.input_labels or ())
     read = tuple(outputs if outputs is not None else data.output_labels or ())

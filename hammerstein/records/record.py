@@ -9,11 +9,10 @@ from itertools import chain
 import numpy as np
 
 from hammerstein.arrays import Array, Indices, freeze, frozen
-from hammerstein.blocks.axis_names import unique
 from hammerstein.errors import InputError, Mistake
 from hammerstein.escaping import clean
 from hammerstein.notebook_repr import NotebookRepr
-from hammerstein.quantities import POSITION_UM, VOLTAGE_V, no_name
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, no_name, unique
 from hammerstein.records.checks import (
     clipping_mistakes,
     far_mistakes,

@@ -15,8 +15,7 @@ from xml.etree import ElementTree
 
 from markupsafe import Markup
 
-from hammerstein.escaping import Markdown, templates_of
-from hammerstein.reporting.figures.style import joined
+from hammerstein.escaping import Markdown, templates_of, unbroken
 from hammerstein.reporting.interactive import Interactive
 from hammerstein.runtime.staging import Stage
 
@@ -92,7 +91,7 @@ def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[M
     tokens = reader.parse(text)
     headings = _anchored(tokens)
     for child in (child for token in tokens for child in token.children or () if child.type == "text"):
-        child.content = joined(child.content.replace(" / ", "\xa0/ "))  # no line ends before the stroke
+        child.content = unbroken(child.content.replace(" / ", "\xa0/ "))  # no line ends before the stroke
     _tabulated(tokens)
     _framed(tokens, drawn or {})
     return Markup(reader.renderer.render(tokens, reader.options, {})), headings

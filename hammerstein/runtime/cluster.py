@@ -21,7 +21,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from hammerstein.errors import InputError, LostProcessError, Notice
 from hammerstein.files import digest_of
-from hammerstein.runtime.provenance import computes_with, processor
+from hammerstein.runtime.store import computes_with, processor
 
 P = ParamSpec("P")
 T = TypeVar("T")

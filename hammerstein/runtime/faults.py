@@ -10,7 +10,7 @@ import traceback
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, InternalError, SimulationError
-from hammerstein.runtime.provenance import version_of
+from hammerstein.runtime.store import version_of
 
 DISTRIBUTION = "hammerstein-control"
 LIBRARIES = ("control", "numba", "numpy", "pandas", "pydantic", "scipy", "typer")

@@ -2,16 +2,267 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import contextlib
+import signal
+import threading
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from multiprocessing.connection import Connection
+from queue import Empty, SimpleQueue
+from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
+from hammerstein.errors import LostProcessError
+from hammerstein.runtime.processes import FOR_RUNS, LOADED_ONCE, begin_loading, context, make_ready
 from hammerstein.runtime.resources import processors
-from hammerstein.runtime.workers import Threads
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+PATIENCE_S = 3.0
+"""What a process that was asked to end is given before it is killed."""
+TRIES = 2
+"""A process may be lost by chance once."""
+WHY_LOST = "The system does this if the memory is full: use fewer parallel runs (--jobs 1), or smaller ones."
+
+
+class _Crew(Executor, ABC):
+    """Threads that take one task after the other; the end of the program does not wait for them.
+
+    Parameters
+    ----------
+    workers : how many work at a time; each begins when there is a task for it
+    """
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._tasks: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = SimpleQueue()
+        self._threads: list[threading.Thread] = []
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Hand over a function with its arguments."""
+        future: Future[T] = Future()
+        self._tasks.put((future, partial(fn, *args, **kwargs)))
+        if len(self._threads) < self.workers:
+            self._threads.append(threading.Thread(target=self._serve, daemon=True))
+            self._threads[-1].start()
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End when all tasks are done; cancelled tasks that have not started are dropped."""
+        if cancel_futures:
+            with contextlib.suppress(Empty):
+                while (left := self._tasks.get_nowait()) is not None:
+                    left[0].cancel()
+        for _ in self._threads:
+            self._tasks.put(None)
+        for thread in self._threads if wait else ():
+            thread.join()
+
+    @abstractmethod
+    def _serve(self) -> None:
+        """Do what comes."""
+
+    def _coming(self) -> Iterator[tuple[Future[Any], Callable[[], Any]]]:
+        """Tasks that nobody has cancelled."""
+        while (found := self._tasks.get()) is not None:
+            if found[0].set_running_or_notify_cancel():
+                yield found
+
+    def _serve_here(self) -> None:
+        """Do what comes in this thread."""
+        for future, task in self._coming():
+            try:
+                future.set_result(task())
+            except BaseException as error:
+                future.set_exception(error)
+
+
+class Threads(_Crew):
+    """Threads of this process; after an exception, the block does not wait for running tasks."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.shutdown(wait=kind is None, cancel_futures=kind is not None)
+
+    def _serve(self) -> None:
+        self._serve_here()
+
+
+class Processes(_Crew):
+    """Processes that do one task after another.
+
+    If a process dies, for example because memory is full, its task is tried once more; then its future holds
+    a LostProcessError. After an exception, such as Ctrl-C, running processes are ended.
+
+    Parameters
+    ----------
+    workers : largest number of processes; each starts when there is a task for it
+    loads : modules that are loaded once for all of them
+    """
+
+    def __init__(self, workers: int, loads: Sequence[str] = LOADED_ONCE) -> None:
+        super().__init__(workers)
+        self._loads = loads
+        self._busy: set[_Worker] = set()
+        self._lock = threading.Lock()
+        self._closed = False
+        begin_loading(loads)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes when their work is done, or at once where the rest is cancelled."""
+        if cancel_futures:
+            with self._lock:
+                self._closed = True
+                for worker in self._busy:
+                    worker.process.terminate()
+        super().shutdown(wait, cancel_futures=cancel_futures)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.shutdown(cancel_futures=kind is not None)
+
+    def _serve(self) -> None:
+        """Let one process do what comes, and another one when that dies."""
+        worker: _Worker | None = None
+        for future, task in self._coming():
+            try:
+                worker = self._done(future, task, worker)
+            except BaseException as error:  # of whatever kind: who waits for the task must know it
+                worker = None
+                future.set_exception(error)
+        if worker is not None:
+            worker.end()
+
+    def _done(self, future: Future[Any], task: Callable[[], Any], worker: _Worker | None) -> _Worker | None:
+        """Do a task; give the process that has done it, if it lives."""
+        how = "was ended"
+        for _ in range(TRIES):
+            try:
+                worker = self._begun(worker)
+            except (EOFError, OSError):  # what begins the processes was ended itself; it comes again
+                how = "could not start"
+                continue
+            if worker is None:
+                break
+            try:
+                done, result = worker.outcome_of(task)
+            except EOFError:
+                self._free(worker)
+                how, worker = worker.end(), None
+                continue
+            except Exception as error:  # the task cannot be sent
+                done, result = False, error
+            self._free(worker)
+            (future.set_result if done else future.set_exception)(result)
+            return worker
+        future.set_exception(LostProcessError(f"its process {how}, twice. {WHY_LOST}"))
+        return None
+
+    def _begun(self, worker: _Worker | None) -> _Worker | None:
+        """Process for a task; none where all are to end."""
+        with self._lock:
+            if self._closed:
+                return None
+            found = _Worker(self._loads) if worker is None else worker
+            self._busy.add(found)
+            return found
+
+    def _free(self, worker: _Worker) -> None:
+        with self._lock:
+            self._busy.discard(worker)
+
+
+class ProcessesAndThis(Processes):
+    """Processes, and this one, which begins while the others are made: one of the workers is a thread here.
+
+    Nobody waits for that thread where the block is left by an exception.
+    """
+
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers, FOR_RUNS)
+        self._here: threading.Thread | None = None
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End all when their work is done, or the processes at once where the rest is cancelled."""
+        super().shutdown(False, cancel_futures=cancel_futures)
+        for thread in self._threads if wait else ():
+            if thread is not self._here or not cancel_futures:
+                thread.join()
+
+    def _serve(self) -> None:
+        with self._lock:
+            mine = self._here is None
+            if mine:
+                self._here = threading.current_thread()
+        if mine:
+            self._serve_here()
+        else:
+            super()._serve()
+
+
+class _Worker:
+    """A process that does one task after another."""
+
+    def __init__(self, loads: Sequence[str]) -> None:
+        self.connection, theirs = context(loads).Pipe()
+        self.process = context(loads).Process(target=_work, args=(theirs,), daemon=True)  # type: ignore[attr-defined]  # every context has it
+        self.process.start()
+        theirs.close()
+
+    def outcome_of(self, task: Callable[[], Any]) -> tuple[bool, Any]:
+        """Whether a task was done, and its result, or its error; EOFError if the process has died."""
+        try:
+            self.connection.send(task)
+            done, result = self.connection.recv()
+        except OSError:
+            raise EOFError from None
+        return done, result
+
+    def end(self) -> str:
+        """End the process, which has no task or has died; give how it ended, in words."""
+        self.connection.close()
+        self.process.join(PATIENCE_S)
+        if self.process.is_alive():
+            self.process.kill()
+        code = self.process.exitcode
+        if code is not None and code < 0:
+            return f"was ended by {signal_name(-code)}"
+        return f"ended with code {code}"
+
+
+def signal_name(number: int) -> str:
+    """Name of a signal; some systems have signals that Python knows no name of."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def _work(connection: Connection) -> None:
+    """Do what comes through the connection until it is closed."""
+    make_ready()
+    while True:
+        try:
+            task = connection.recv()
+        except EOFError:
+            return
+        connection.send(_outcome_of(task))
+
+
+def _outcome_of(task: Callable[[], Any]) -> tuple[bool, Any]:
+    try:
+        return True, task()
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        return False, error
+
 
 Jobs = int | Executor
 """Threads of this process, or an executor of ``concurrent.futures`` whose workers take the work."""

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.axis_names import column
 from hammerstein.errors import InputError, Mistake, Notice
 from hammerstein.files import refuse_size
-from hammerstein.quantities import POSITION_UM, size
+from hammerstein.quantities import POSITION_UM, column, size
 from hammerstein.runtime.resources import free_bytes
 from hammerstein.signals.text_tables import find_layout, read_text, where
 from hammerstein.signals.units import BASE, Kind, Unit, axis_name, bracketed, unit_in

@@ -12,8 +12,8 @@ from ratios import Row, Work
 
 from hammerstein.experiment.plan import slowness
 from hammerstein.export.code import CCode
-from hammerstein.export.compiling import compiler
 from hammerstein.export.request import Request
+from hammerstein.export.trial import compiler
 from hammerstein.model import HammersteinModel
 
 GROUP = "exact_inverse exported as C, 2 x 2, 15 operators, 50 Hz sines"

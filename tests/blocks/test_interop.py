@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import hammerstein
+from hammerstein.blocks.block_system import Packing
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
-from hammerstein.blocks.interop.packing import Packing
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.feedback.pid import FeedbackController, FeedbackStream
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
-from hammerstein.compensators.no_compensation import NoCompensationLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
+from hammerstein.compensators.simple_laws import NoCompensationLaw
 from hammerstein.errors import InputError
 from hammerstein.experiment.set_up import set_up
 from hammerstein.model import HammersteinModel

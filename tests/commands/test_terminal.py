@@ -9,8 +9,7 @@ import time
 
 import pytest
 
-from hammerstein.commands import watch
-from hammerstein.commands.terminal import hush
+from hammerstein.commands.terminal import Spinner, hush
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="closed and full files are made by a shell")
 
@@ -164,17 +163,17 @@ main()
 def test_a_file_is_told_once_a_minute_what_is_done(capsys, monkeypatch):
     now = [1000.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
-    with watch.Spinner("comparing") as spinner:
+    with Spinner("comparing") as spinner:
         spinner.tell("a")
         now[0] += 61.0
         spinner.tell("b")
         spinner.tell("c")
     assert capsys.readouterr().err == "comparing\nb\n"
-    with watch.Spinner():
+    with Spinner():
         pass
     hush(True)
     try:
-        with watch.Spinner("comparing"):
+        with Spinner("comparing"):
             pass
     finally:
         hush(False)

@@ -22,7 +22,7 @@ from hammerstein.experiment import case_cache, simulated_identification
 from hammerstein.experiment.run import run
 from hammerstein.files import UNFINISHED
 from hammerstein.model import HammersteinModel
-from hammerstein.runtime import provenance, store as kept_results
+from hammerstein.runtime import store as kept_results
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario.variation import Uncertainty
 
@@ -587,7 +587,7 @@ def test_a_kind_of_this_process_counts_with_its_source(tmp_path, monkeypatch):
         plugins.register(made)
         keys.append(key_of("case", 1))
         COMPENSATORS.remove(made)
-        provenance._computed_by.cache_clear()
+        kept_results._computed_by.cache_clear()
     assert keys[1] == keys[2]
     assert len({before, *keys}) == 5
     assert key_of("case", 1) == before
@@ -595,10 +595,10 @@ def test_a_kind_of_this_process_counts_with_its_source(tmp_path, monkeypatch):
 
 def test_what_a_package_only_ships_is_no_source(tmp_path, monkeypatch):
     (tmp_path / "law.py").write_text("x = 1\n")
-    monkeypatch.setattr(provenance, "PACKAGE", tmp_path)
-    before = provenance.sources.__wrapped__()
+    monkeypatch.setattr(kept_results, "PACKAGE", tmp_path)
+    before = kept_results.sources.__wrapped__()
     (tmp_path / "paper" / "shipped" / "baseline").mkdir(parents=True)
     (tmp_path / "paper" / "shipped" / "baseline" / "circles.json").write_text("{}")
-    assert provenance.sources.__wrapped__() == before
+    assert kept_results.sources.__wrapped__() == before
     (tmp_path / "law.json").write_text("{}")
-    assert provenance.sources.__wrapped__() != before
+    assert kept_results.sources.__wrapped__() != before

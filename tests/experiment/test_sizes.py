@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hammerstein.arrays import PAGE, allocate_wires
-from hammerstein.commands import cli, watch
+from hammerstein.commands import cli, terminal
 from hammerstein.compensators import COMPENSATORS, NoCompensation
 from hammerstein.compensators.path_file import drive_csv
 from hammerstein.errors import InputError, SimulationError
@@ -199,7 +199,7 @@ def test_what_takes_long_says_so_and_wants_yes_of_a_person(tmp_path, monkeypatch
     def call(watched, *options):
         monkeypatch.setattr(cli.sys.stderr, "isatty", lambda: watched, raising=False)
         monkeypatch.setattr(cli.sys.stdin, "isatty", lambda: watched, raising=False)
-        monkeypatch.setattr(watch.Watch, "__enter__", lambda self: self)
+        monkeypatch.setattr(terminal.Watch, "__enter__", lambda self: self)
         with pytest.raises(SystemExit) as caught:
             cli.main(["run", str(path), "--out", str(tmp_path / "r"), "--jobs", "1", *options])
         return caught.value.code, capsys.readouterr().err

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from scipy.stats import qmc
 
-from hammerstein.commands import watch
+from hammerstein.commands import terminal
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.experiment import study
@@ -333,7 +333,7 @@ def test_who_watches_a_sweep_sees_how_far_it_is(tmp_path, monkeypatch):
     (tmp_path / "s.toml").write_text(TEXT)
     seen = []
     told = staticmethod(lambda what, done, of: seen.append((done, of)))
-    monkeypatch.setattr(watch.Watch, "progress", told)
+    monkeypatch.setattr(terminal.Watch, "progress", told)
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv", "--fresh") == 0
     assert seen == [(number, 8) for number in range(1, 9)]
 

@@ -11,7 +11,7 @@ from hammerstein.experiment.run import run
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.overview import write_overview
-from hammerstein.runtime.workers import Processes
+from hammerstein.runtime.parallel_tasks import Processes
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.variation import Uncertainty
 

@@ -19,11 +19,10 @@ from hammerstein.commands.cli import main
 from hammerstein.dynamics.linear_block import LinearBlock
 from hammerstein.errors import InputError, InternalError, SimulationError, ToleranceError
 from hammerstein.export.code import CCode
-from hammerstein.export.compiling import FLAGS, build, compiler
 from hammerstein.export.folder import REQUEST_FILE, check_export, files_of, write_export
-from hammerstein.export.golden import worst_case_step
 from hammerstein.export.operations import Code
 from hammerstein.export.request import request_of
+from hammerstein.export.trial import FLAGS, build, compiler, worst_case_step
 from hammerstein.hysteresis import Preisach
 from hammerstein.hysteresis.busy_kernels import WINDOW
 from hammerstein.model import HammersteinModel

@@ -9,8 +9,8 @@ from export_cases import T, case
 
 from hammerstein.commands.cli import main
 from hammerstein.experiment.run import simulate
-from hammerstein.export.compiling import compiler
 from hammerstein.export.folder import check_export, write_export
+from hammerstein.export.trial import compiler
 from hammerstein.model import HammersteinModel
 
 fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")

@@ -7,7 +7,7 @@ import theory
 from scipy.optimize import brentq
 
 from hammerstein.blocks.instruments import Drive, Instruments
-from hammerstein.blocks.interop.limit_cycles import limit_cycles
+from hammerstein.blocks.limit_cycles import limit_cycles
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii

@@ -27,7 +27,7 @@ NUMERICAL = (
     "hammerstein/experiment/measure.py",
     "hammerstein/experiment/simulated_identification.py",
     "hammerstein/experiment/draws.py",
-    "hammerstein/blocks/interop/limit_cycles.py",
+    "hammerstein/blocks/limit_cycles.py",
     "hammerstein/paper/causes.py",
     "hammerstein/paper/claims.py",
     "hammerstein/paper/judgements.py",

@@ -16,7 +16,7 @@ from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.records import checks
 from hammerstein.records.array_files import array_columns, arrays_in
-from hammerstein.records.matlab_v5 import COMPRESSED
+from hammerstein.records.file_formats import COMPRESSED
 
 
 def element(kind, data):

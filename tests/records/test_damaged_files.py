@@ -9,7 +9,7 @@ from scipy.io import loadmat, savemat
 
 from hammerstein.errors import InputError
 from hammerstein.records.array_files import array_columns
-from hammerstein.records.matlab_v5 import read_matlab_v5
+from hammerstein.records.file_formats import read_matlab_v5
 
 CONTENT = {
     "u": np.random.default_rng(1).normal(size=(200, 2)),

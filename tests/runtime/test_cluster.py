@@ -18,8 +18,7 @@ import hammerstein
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError, LostProcessError, Notice
 from hammerstein.runtime import cluster
-from hammerstein.runtime.provenance import computes_with, processor
-from hammerstein.runtime.store import Store
+from hammerstein.runtime.store import Store, computes_with, processor
 
 pytestmark = pytest.mark.full
 

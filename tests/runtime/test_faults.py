@@ -16,10 +16,9 @@ import psutil
 import pytest
 
 from hammerstein.errors import LostProcessError
-from hammerstein.runtime import workers
-from hammerstein.runtime.parallel_tasks import in_order
+from hammerstein.runtime import parallel_tasks as workers
+from hammerstein.runtime.parallel_tasks import Processes, ProcessesAndThis, in_order, signal_name
 from hammerstein.runtime.processes import _imports_from_where_this_does, loaded_beforehand
-from hammerstein.runtime.workers import Processes, ProcessesAndThis, signal_name
 
 pytestmark = [
     pytest.mark.full,
@@ -213,7 +212,7 @@ def test_a_signal_without_a_name_is_told_by_its_number():
 
 ELSEWHERE = """
 from hammerstein.runtime.processes import begin_loading
-from hammerstein.runtime.workers import Processes
+from hammerstein.runtime.parallel_tasks import Processes
 
 if __name__ == "__main__":
     begin_loading()

@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 import hammerstein
-from hammerstein.compiled import spans
+from hammerstein.arrays import spans
 from hammerstein.dynamics import discretise
 from hammerstein.runtime import signals
 
@@ -224,7 +224,7 @@ import sys, time
 from pathlib import Path
 from hammerstein.files import register_cleanup
 from hammerstein.runtime.signals import end_when_asked
-from hammerstein.runtime.workers import Processes
+from hammerstein.runtime.parallel_tasks import Processes
 
 def half_written(place):
     register_cleanup(place, place.unlink)

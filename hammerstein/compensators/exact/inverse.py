@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, spans
 from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.law import Law, S
@@ -266,7 +266,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
     ) -> tuple[Array, ExactState, Array]:
         """See ``StaticInverse.solve``."""
         from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
-        from hammerstein.compiled import spans
 
         p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
         back = recovery or Recovery.none(p)

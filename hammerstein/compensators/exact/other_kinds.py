@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, spans
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.compensators.exact.inverse import (
@@ -126,7 +126,6 @@ class PreisachInverseLaw(ZonesInverse):
     ) -> tuple[Array, DriveState, Array]:
         """Drive (m, N) for outputs (p, N) of the static block; see ``StaticInverse.solve``."""
         from hammerstein.compensators.exact.zones_kernel import respond_exact_preisach
-        from hammerstein.compiled import spans
 
         drive, own = np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.planes
         back = recovery or Recovery.none(self.n_outputs)
@@ -203,7 +202,6 @@ class RateDependentInverseLaw(ZonesInverse):
     ) -> tuple[Array, DriveState, Array]:
         """Drive (m, N) for outputs (p, N) of the static block; see ``StaticInverse.solve``."""
         from hammerstein.compensators.exact.zones_kernel import respond_exact_rate
-        from hammerstein.compiled import spans
 
         drive, bank = np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.bank
         back = recovery or Recovery.none(self.n_outputs)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, spans
 from hammerstein.blocks import Controller, Law, Memory, checked_reference
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.instruments import standard_noise
@@ -26,7 +26,7 @@ from hammerstein.model.simulation import Plant, Response
 from hammerstein.quantities import Gain
 
 if TYPE_CHECKING:
-    from hammerstein.blocks.interop.block_system import BlockSystem
+    from hammerstein.blocks.block_system import BlockSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +252,7 @@ class FeedbackStream:
 
     def to_iosys(self, sample_time_s: float, name: str) -> BlockSystem:
         """Give the block as a discrete ``control.NonlinearIOSystem``; see ``FeedbackController.to_iosys``."""
-        from hammerstein.blocks.interop.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
 
         require_grid(self.law.sample_time_s, sample_time_s, "controller")
         block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.restore)
@@ -304,7 +304,6 @@ def _compiled_loop(
 ) -> dict[str, Any]:
     """Wires (axis, sample) of the compiled loop."""
     from hammerstein.compensators.feedback.pid_kernel import run_closed_loop
-    from hammerstein.compiled import spans
 
     path_um, forward_v = law.path_and_feedforward(reference_um)
     m, p, samples = law.n_inputs, law.n_outputs, reference_um.shape[1]

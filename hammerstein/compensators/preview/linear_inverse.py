@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hammerstein.arrays import Array, Complex, Indices
+from hammerstein.arrays import Array, Complex, Indices, spans
 from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import InputError, SimulationError
 
@@ -41,7 +41,6 @@ def low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
 def filtered_by(taps: Array, raw: Array) -> Array:
     """Reference (p, N) behind the filter, shorter by its length less one."""
     from hammerstein.compensators.preview.preview_kernel import filtered
-    from hammerstein.compiled import spans
 
     if len(taps) == 1:
         return raw
@@ -104,7 +103,6 @@ class LinearInverse:
     def run(self, known: Array, modes: Array) -> Array:
         """Inputs v (p, N) for outputs known (p, N + reach_samples); ``modes`` (n_s,) move on."""
         from hammerstein.compensators.preview.preview_kernel import run_inverse
-        from hammerstein.compiled import spans
 
         known = np.ascontiguousarray(known)
         v = np.empty((len(known), known.shape[1] - self.reach_samples))

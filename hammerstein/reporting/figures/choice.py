@@ -128,7 +128,7 @@ def _sensitivity(report: Report) -> dict[str, Figure]:
 
 def _drift(report: Report) -> dict[str, Figure]:
     """Mean error of each measured cycle over time, of the axes that are driven themselves."""
-    from hammerstein.reporting.figures.drift import DriftRun, drift_figure
+    from hammerstein.reporting.figures.sensitivity import DriftRun, drift_figure
 
     runs = []
     for trace in report.traces:

@@ -19,7 +19,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.compiled import uncollected
-from hammerstein.escaping import clean
+from hammerstein.escaping import JOINT, clean, unbroken
 from hammerstein.signals.units import is_unit, spoken
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ WIDTH_IN = 8.0  # at 100 pixels an inch the width of a page on a screen
 ALONE_IN = 4.3  # width of a figure of one panel: as large as a panel may be to be read on a telephone
 PNG_DPI = 125  # 1000 pixels wide
 PNG_COLOURS = 16  # the most that half a byte holds
-JOINT = "\u00a0"  # a space at which no line ends
 LONGEST_LINE = 46  # characters that fit half the width, or a telephone
 MOST_POINTS = 8_000  # of all curves of a figure together: keeps an SVG below 200 kB
 
@@ -183,12 +182,7 @@ def in_lines(text: str, letters: int) -> str:
     >>> in_lines("circle (worst 3.42 µm)", 20)
     'circle (worst\n3.42 µm)'
     """
-    return "\n".join(textwrap.wrap(joined(text), letters)).replace(JOINT, " ")
-
-
-def joined(text: str) -> str:
-    """Text in which no line ends between a number and its unit."""
-    return re.sub(r"(?<=\d) (?=(?:µm|um|nm|V|k?Hz|min|[mu]?s|%)(?!\w))", JOINT, text)
+    return "\n".join(textwrap.wrap(unbroken(text), letters)).replace(JOINT, " ")
 
 
 def column_words(column: str) -> str:

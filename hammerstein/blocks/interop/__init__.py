@@ -1,1 +1,0 @@
-"""Ways to and from python-control: systems, time responses, describing functions."""
