@@ -1,5 +1,7 @@
+import gc
 import os
 import signal
+from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -31,6 +33,17 @@ def pytest_configure(config: pytest.Config) -> None:
     # Behind a shell's "&" Ctrl-C is ignored, and programs that are begun here would inherit that.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Search for no garbage meanwhile, and later not among what was collected: it stays."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 LONG = "takes long; HAMMERSTEIN_LONG=1 runs it, as the weekly workflow does"

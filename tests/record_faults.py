@@ -1,5 +1,7 @@
 """Made-up records of one actuator, clean in many shapes or with one fault each, in plain NumPy."""
 
+from functools import cache
+
 import numpy as np
 
 STEP_S = 1e-3
@@ -92,6 +94,7 @@ def copied(records):
     return [u.copy() for u, _ in records], [y.copy() for _, y in records]
 
 
+@cache
 def measured(shape, noise=1e-3, seed=0):
     """Pairs of voltages and readings of a clean shape."""
     return [(u, actuator(u, noise, seed + k)) for k, u in enumerate(SHAPES[shape])]

@@ -96,7 +96,7 @@ class Drive(Strict):
         """Lowest and highest step of the converter (2, input) within the range [V]."""
         limits = self.limits(inputs)
         if self.resolution_v == 0.0:
-            return limits
+            return limits.copy()  # of the type of the other: loops are compiled once
         count = limits / self.resolution_v
         inside = np.stack([np.ceil(count[0] - 1e-9), np.floor(count[1] + 1e-9)])
         return np.asarray(inside * self.resolution_v)

@@ -160,7 +160,7 @@ class Law(Designed, Generic[S]):
 
     def step(self, reference_um: ArrayLike, state: S) -> tuple[Array, S]:
         """Drive (m,) for one sample of reference (p,); equal to ``respond`` to the last bit."""
-        sample = np.ascontiguousarray(reference_um, dtype=np.float64)  # of one type: it is compiled once
+        sample = np.require(reference_um, np.float64, ("C", "W"))  # of one type: it is compiled once
         found = self._step(sample, state) if sample.shape == (self.n_outputs,) else None
         if found is not None:
             return found

@@ -86,7 +86,7 @@ class ProductsFile(Strict):
         """Return the products this describes."""
         h = len(self.limits)
         rows = [[k - 1 for k in term.of] + [h] * (MOST_FACTORS - len(term.of)) for term in self.terms]
-        weights = np.array([term.weights for term in self.terms]).T
+        weights = np.ascontiguousarray(np.array([term.weights for term in self.terms]).T)
         return InputProducts(weights, np.array(self.limits), np.array(rows, dtype=np.int64))
 
 

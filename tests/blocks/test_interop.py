@@ -43,7 +43,7 @@ def _set_up_with(options, model="duo_bimorph", seed=3):
             "question": "Does python-control see the same?",
             "actuator": "duo_bimorph",
             "reference": {"kind": "circle", "radius_um": 25.0, "frequency_hz": 100.0},
-            "measure": {"settle_cycles": 0, "settle_s": 0.0, "measured_cycles": 2},
+            "measure": {"settle_cycles": 0, "settle_s": 0.0, "measured_cycles": 1},
             "compensators": [{"label": "law", "model": model} | options],
             "seed": seed,
         }

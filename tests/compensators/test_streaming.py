@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hammerstein
+from hammerstein.arrays import frozen
 from hammerstein.errors import InputError
 from hammerstein.examples import stream as example
 
@@ -50,7 +51,8 @@ def test_no_sample_waits_for_a_compilation():
     loop, path = hammerstein.stream(law), _path(6)
     known = len(law._compiled_step.signatures)
     assert known > 0
-    for sample in (path[:, 0], path.T[1], path[:, 2].tolist(), path[:, 3].astype(np.float32)):
+    forms = (path[:, 0], path.T[1], path[:, 2].tolist(), path[:, 3].astype(np.float32), frozen(path[:, 4]))
+    for sample in forms:
         loop.step(sample)
     assert len(law._compiled_step.signatures) == known
 

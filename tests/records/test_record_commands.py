@@ -72,9 +72,8 @@ def test_a_record_in_which_all_inputs_move_is_drawn_and_called_so(tmp_path, caps
 
 def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsys):
     out = tmp_path / "stage.json"
-    assert (
-        _call("identify", *records, *COLUMNS, "--rate", 20000, "--sensor-bandwidth", 2000, "--out", out) == 0
-    )
+    known = ("--rate", 20000, "--sensor-bandwidth", 2000, "--dynamics", "none")
+    assert _call("identify", *records, *COLUMNS, *known, "--out", out) == 0
     told = capsys.readouterr().out.strip().splitlines()
     said = told[next(i for i, line in enumerate(told) if line.startswith("Usable")) :]
     assert len(said) <= 3  # and one table before them
@@ -109,6 +108,7 @@ def test_thresholds_can_be_given(records, tmp_path, capsys):
 def test_json_holds_fit_and_validation(records, tmp_path, capsys):
     pd.read_csv(records[0]).to_csv(tmp_path / "held.csv", index=False)
     options = ("--validate", tmp_path / "held.csv", "--no-figures", "--json", "--operators", 4)
+    options += ("--dynamics", "none")
     assert _call("identify", *records, *COLUMNS, "--rate", 20000, "--out", tmp_path / "m.json", *options) == 0
     content = json.loads(capsys.readouterr().out)
     held = content["validation"]

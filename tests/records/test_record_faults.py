@@ -45,6 +45,21 @@ def weekly(*case):
     return pytest.param(*case, marks=pytest.mark.long)
 
 
+QUICK = {
+    made.one_sample: ("multisine", "prbs", "holds"),
+    made.lost_cells: ("one-sided",),
+    made.lost_rows: ("decaying sines", "starts in motion", "biased"),
+    made.drive_spike: ("falling triangles", "multisine", "random levels"),
+    made.drift: ("sines", "falling triangles"),
+    made.thermal_drift: ("one-sided", "falling triangles both ways"),
+    made.clipped_command: ("falling triangles", "starts in motion"),
+    made.clipped_reading: ("sines", "one-sided"),
+    made.saturation: ("sines", "falling triangles both ways"),
+    made.swapped: ("sines", "falling triangles"),
+    made.half_swapped: ("falling triangles",),
+}
+"""Shapes of record on which each fault is always looked for: every fault, and every shape."""
+
 FAULTS = [
     *((made.one_sample, "outliers", r"row 1234 \(200\): 1 of", shape) for shape in ALL),
     *((made.lost_cells, "outliers", LOST, shape) for shape in PERIODIC),
@@ -92,7 +107,21 @@ def suspicions(said):
     return {fault for fault, words in WORDS.items() if re.search(words, said)}
 
 
-@pytest.mark.parametrize("noise", [1e-4, pytest.param(1e-3, marks=pytest.mark.long), 1e-2])
+def selected(case):
+    """A case as it is, or one that runs with ``--full``."""
+    if type(case) is not tuple or case[-1] in QUICK[case[0]]:
+        return case
+    return pytest.param(*case, marks=pytest.mark.full)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        pytest.param(1e-4, marks=pytest.mark.full),
+        pytest.param(1e-3, marks=pytest.mark.long),
+        1e-2,
+    ],
+)
 @pytest.mark.parametrize("shape", ALL)
 def test_a_clean_record_raises_no_suspicion(shape, noise):
     said = diagnosis(*copied(measured(shape, noise, seed=int(1e4 * noise))))
@@ -100,7 +129,7 @@ def test_a_clean_record_raises_no_suspicion(shape, noise):
 
 
 @pytest.mark.parametrize(
-    ("fault", "name", "rows", "shape"), FAULTS, ids=lambda v: getattr(v, "__name__", None)
+    ("fault", "name", "rows", "shape"), [*map(selected, FAULTS)], ids=lambda v: getattr(v, "__name__", None)
 )
 def test_a_fault_is_named_with_its_rows_and_none_of_the_others(fault, name, rows, shape):
     us, ys = copied(measured(shape))

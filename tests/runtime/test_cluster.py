@@ -1,6 +1,7 @@
 """Work sent to a Dask scheduler: the same bits, whoever does it, and whoever dies."""
 
 import asyncio
+import importlib.util
 import json
 import os
 import re
@@ -13,6 +14,7 @@ import warnings
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_info
 
 import hammerstein
 from hammerstein.commands.cli import main
@@ -20,12 +22,12 @@ from hammerstein.errors import InputError, LostProcessError, Notice
 from hammerstein.runtime import cluster
 from hammerstein.runtime.store import Store, computes_with, processor
 
-pytestmark = pytest.mark.full
-
-pytest.importorskip("distributed", reason="needs hammerstein-control[cluster]")
-threadpool_info = pytest.importorskip(
-    "threadpoolctl", reason="needs hammerstein-control[cluster]"
-).threadpool_info
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.skipif(
+        importlib.util.find_spec("distributed") is None, reason="needs hammerstein-control[cluster]"
+    ),
+]
 
 SCENARIO = """
 question = "How large is the error of drawn actuators?"
