@@ -12,7 +12,6 @@ import typer
 
 from hammerstein.commands import (
     driving,
-    export as export_command,
     records as record_commands,
     scenarios,
     start,
@@ -101,7 +100,7 @@ def _register() -> None:
         (driving.compensate, "compensate stage.json path.csv --out drive.csv"),
         (driving.play, "play stage.json drive.csv --out played.csv"),
         (driving.degauss, "degauss stage.json --out degauss.csv"),
-        (export_command.export, "export stage.json --law exact_inverse --out c_code"),
+        (driving.export, "export stage.json --law exact_inverse --out c_code"),
         (scenarios.run, "run circle.toml"),
         (study_commands.sweep, "sweep circle.toml --out rows.csv"),
         (scenarios.check, "check . --html check.html"),

@@ -1,6 +1,7 @@
 """Loops tuned for drawn stages, judged by python-control alone: stable, sensitivity within 1.6, or refused.
 
-HAMMERSTEIN_STAGES sets how many stages are drawn, half of them with ``--full`` alone; the figures in the change log are of 300.
+HAMMERSTEIN_STAGES sets how many stages are drawn, half of them with ``--full`` alone; the figures in the
+change log are of 300.
 """
 
 import os
