@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, spans, times
-from hammerstein.blocks.block_system import Packing
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.quantities import Entry, InputNumber
 from hammerstein.validation import Strict
+
+if TYPE_CHECKING:
+    from hammerstein.blocks.block_system import Packing
 
 MOST_FACTORS = 3
 """A product of three signals is the highest term of a cubic."""
@@ -266,6 +268,8 @@ class FeedbackBlock(SteppedBlock, ByValue):
     @cached_property
     def packing(self) -> Packing:
         """Where the numbers of Gamma's memory stand in the state."""
+        from hammerstein.blocks.block_system import Packing  # it brings python-control
+
         return Packing(self.hysteresis.rest().as_dict())
 
     def carry_on(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
