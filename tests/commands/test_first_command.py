@@ -33,6 +33,7 @@ def stage_fit(stage):
     return identify(fitted, Settings(), validation=[held])
 
 
+@pytest.mark.full
 def test_the_defaults_find_the_stage(stage, stage_fit):
     made, _, held = stage
     model, fit = stage_fit
@@ -45,6 +46,7 @@ def test_the_defaults_find_the_stage(stage, stage_fit):
     assert not fit.verdict.startswith("The prediction error")
 
 
+@pytest.mark.full
 def test_all_models_that_were_tried_stand_in_the_report(stage_fit):
     _, fit = stage_fit
     assert sum(trial.kept for trial in fit.trials) == 1
@@ -87,7 +89,9 @@ def test_ringing_and_creep_under_a_held_voltage_are_used():
     assert not any("resonance" in text for text in fit.not_identifiable)
 
 
-@pytest.mark.parametrize(("before_v", "kind"), [((), "turned"), ((70.0,), "turned")])
+@pytest.mark.parametrize(
+    ("before_v", "kind"), [pytest.param((), "turned", marks=pytest.mark.full), ((70.0,), "turned")]
+)
 def test_what_the_plays_remember_is_found(before_v, kind):
     made = made_up.stage(3, low_v=0.0, plays=8, resonances_hz=None, noise_um=1e-3)
     u = np.full((2, 4000), 30.0)
@@ -150,6 +154,7 @@ def test_a_sure_gain_is_worth_its_parameters_from_two_percent_on(gain, kept):
     assert chosen([few, many]) == kept
 
 
+@pytest.mark.full
 def test_the_model_that_is_kept_obeys_the_rule_on_its_page(stage_fit):
     model, fit = stage_fit
     assert (
@@ -174,6 +179,7 @@ def test_linear_dynamics_that_are_kept_alone_stand_on_the_page():
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
+@pytest.mark.full
 def test_a_model_is_hardly_worse_than_a_simpler_one(seed):
     """As in the long harness, where one in twenty may be worse by more than this, none by twice."""
     assert try_actuator(seed).ratio <= 1.05

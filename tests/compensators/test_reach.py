@@ -20,13 +20,16 @@ def _table(dynamics=None):
     return HammersteinModel("table", hysteresis, dynamics or StaticDynamics(n_outputs=2), 10.0, *NAMES)
 
 
-def test_a_kind_without_inverse_reaches_as_far():
+@pytest.mark.parametrize("axes", [1, pytest.param(2, marks=pytest.mark.full)])
+def test_a_kind_without_inverse_reaches_as_far(axes):
     """The same plays in two blocks side by side, which have no exact inverse; not about the rest voltage."""
-    range_v = (-2.0, 12.0)
-    half = PrandtlIshlinskii.from_arrays(theory.R_V, 0.5 * np.asarray(theory.W_UM_PER_V))
-    table = _table()
-    beside = HammersteinModel("beside", Parallel((half, half)), table.dynamics, 10.0, *NAMES)
-    whole, found = reach(table, range_v), reach(beside, range_v)
+    range_v, weights = (-2.0, 12.0), np.asarray(theory.W_UM_PER_V)[:axes, :axes]
+    half, table = (PrandtlIshlinskii.from_arrays(theory.R_V, part * weights) for part in (0.5, 1.0))
+    dynamics, names = StaticDynamics(n_outputs=axes), [names[:axes] for names in NAMES]
+    whole, found = (
+        reach(HammersteinModel("reach", block, dynamics, 10.0, *names), range_v)
+        for block in (table, Parallel((half, half)))
+    )
     size = np.ptp(whole.alone_um, axis=1).min()
     np.testing.assert_allclose(found.alone_um, whole.alone_um, atol=0.01 * size)
     np.testing.assert_allclose(found.together_um, whole.together_um, atol=0.01 * size)

@@ -209,6 +209,10 @@ def test_what_does_not_go_together_is_refused_in_a_scenario_too():
 def test_another_linear_block_is_identified_for_a_scenario():
     none = JointFitSpec(method="hammerstein", operators=6, dynamics="none")
     assert isinstance(identified(_plant("duo_bimorph"), none, 1).dynamics, StaticDynamics)
+
+
+@pytest.mark.full
+def test_a_linear_block_with_creep_is_chosen_for_a_scenario():
     creep = {"creep_modes": 1, "creep_record_s": 60.0}
     model = identified(
         _plant("duo_bimorph_creep"), JointFitSpec(method="hammerstein", dynamics="auto", **creep), 1

@@ -32,6 +32,18 @@ MILLION = 1_000_000
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 
 
+WIDE = ("three inputs exact_inverse", "three inputs hammerstein_inverse")
+"""Their loops are compiled for three axes, which takes long."""
+
+
+def marked(name):
+    """A case, or one that runs with ``--full``."""
+    return pytest.param(name, marks=pytest.mark.full) if name in WIDE else name
+
+
+WITH_FULL = [marked(name) for name in NAMES]
+
+
 @cache
 def compiled(name):
     """A case and its code, compiled once."""
@@ -44,7 +56,7 @@ def _same_bits(a, b):
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", WITH_FULL)
 def test_every_bit_is_that_of_python(name):
     code, library = compiled(name)
     signal = code.adverse(6_000)
@@ -134,7 +146,7 @@ def test_a_run_in_pieces_is_a_run():
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", [export.name for export in CASES if export.law != "model"])
+@pytest.mark.parametrize("name", [marked(export.name) for export in CASES if export.law != "model"])
 def test_the_voltages_stay_in_the_range(name):
     code, library = compiled(name)
     limits = code.block.range

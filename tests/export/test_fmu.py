@@ -17,7 +17,9 @@ fmpy = pytest.importorskip("fmpy", reason="FMPy is not installed")
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 
 
-@pytest.fixture(scope="module", params=["exact_inverse", "filtered", "model"])
+@pytest.fixture(
+    scope="module", params=["exact_inverse", pytest.param("filtered", marks=pytest.mark.full), "model"]
+)
 def unit(request, tmp_path_factory):
     export, folder = case(request.param), tmp_path_factory.mktemp("fmu")
     write_export(export.request(form="fmu"), export.model, folder)

@@ -53,16 +53,22 @@ def test_a_finding_has_one_class(found, name):
     assert class_of(found) == name
 
 
+@pytest.fixture
+def times(request):
+    """Factor of the number of cases."""
+    return 5 if request.config.getoption("--full") else 2
+
+
 @pytest.fixture(autouse=True)
 def _quick_fits(monkeypatch):
     """No time for fits through the dynamics here; the long campaign has it."""
     monkeypatch.setattr("hammerstein.experiment.plan.SECONDS_OF_A_FIT", 1e3)
 
 
-def test_scenarios(folder):
+def test_scenarios(folder, times):
     seen = []
 
-    @settings(max_examples=20, **SHORT)
+    @settings(max_examples=4 * times, **SHORT)
     @given(strategies.scenarios())
     def campaign(content):
         seen.append(scenario_case(content, folder))
@@ -71,10 +77,10 @@ def test_scenarios(folder):
     assert {2} <= set(seen)
 
 
-def test_models(folder):
+def test_models(folder, times):
     seen = []
 
-    @settings(max_examples=25, **SHORT)
+    @settings(max_examples=5 * times, **SHORT)
     @given(strategies.models())
     def campaign(content):
         seen.append(model_case(content, folder))
@@ -83,10 +89,10 @@ def test_models(folder):
     assert {2} <= set(seen)
 
 
-def test_command_lines(folder):
+def test_command_lines(folder, times):
     seen = []
 
-    @settings(max_examples=15, **SHORT)
+    @settings(max_examples=3 * times, **SHORT)
     @given(options.command_lines())
     def campaign(line):
         seen.append(option_case(line, folder))
@@ -96,19 +102,19 @@ def test_command_lines(folder):
     assert option_case(["show", "duo_bimorph"], folder) == 0
 
 
-def test_damaged_records(folder):
+def test_damaged_records(folder, times):
     draw, seeds = random.Random(3), records(folder)
-    for i in range(20):
+    for i in range(4 * times):
         name, data, columns = draw.choice(seeds)
         record_case(mutated(data, draw), name.replace("seed", "case"), columns, folder, fitted=i % 10 == 0)
         path_case(mutated(path_bytes(), draw), folder)
 
 
-def test_damaged_baselines_and_models(folder):
+def test_damaged_baselines_and_models(folder, times):
     draw, actuator = random.Random(4), dict(shipped())["duo_bimorph.json"]
     own = good_baseline(folder)
     assert [baseline_case(mutated(own, draw), folder) for _ in range(8)].count(2) > 2
-    for _ in range(15):
+    for _ in range(3 * times):
         model_file_case(mutated(actuator, draw), folder)
 
 

@@ -459,7 +459,7 @@ def test_what_any_hysteresis_has_is_worked_out_where_a_kind_does_not_say(followe
 def test_it_runs_under_every_law_that_can_take_it(follower, law):
     _, path = follower
     own = {"label": "own", "model": path, **law}
-    circle = {"kind": "circle", "radius_um": 20.0, "frequency_hz": 10.0}
+    circle = {"kind": "circle", "radius_um": 20.0, "frequency_hz": 20.0}
     scenario = {**SCAN, "actuator": path, "reference": circle, "compensators": [own]}
     scenario["uncertainty"] = {"draws": 2, "weights": 0.01}
     report = hammerstein.run(scenario)

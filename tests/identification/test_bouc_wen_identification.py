@@ -156,6 +156,7 @@ def test_the_command_writes_a_model_and_its_report(tmp_path, monkeypatch):
     assert "beta 0.25" in Path("m_fit/report.md").read_text()
 
 
+@pytest.mark.full
 def test_a_scenario_identifies_it_through_drive_and_sensor(tmp_path):
     block = BoucWen([[hammerstein.BoucWenPair(14.0, 4.0, 0.25, 0.1)]])
     axes = AxesDynamics(axes=(Axis(resonance_hz=900.0, damping_ratio=0.3),))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import made_up
 import numpy as np
+import pytest
 
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.delay import best_delay
@@ -11,6 +12,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 
 
+@pytest.mark.full
 def test_no_delay_stands_in_for_thresholds_that_were_not_fitted_yet():
     """Coarse thresholds asked for 0.17 samples; with them 0.0096 % of the range was left, not 0.0058."""
     stage = made_up.stage(1, noise_um=0.005)

@@ -1,6 +1,7 @@
 """Drawn models of a block with an envelope explain the record it was identified from."""
 
 import numpy as np
+import pytest
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import StaticDynamics
@@ -12,6 +13,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 
 
+@pytest.mark.full
 def test_drawn_models_stay_within_the_noise_of_their_record():
     """Thresholds of plays without weight were drawn past their neighbours, by up to 300 um."""
     rng = np.random.default_rng([1001, 28])

@@ -87,6 +87,7 @@ def test_a_model_has_what_its_records_have_and_its_error_on_one_that_was_not_fit
     assert model.verdict.nrmse_percent[0] == pytest.approx(100.0 * error.std() / np.ptp(y), rel=0.02)
 
 
+@pytest.mark.full
 def test_a_settled_period_can_begin_anywhere():
     """Voltages count from 0 V, not from the first one, and wide plays stand where a period begins."""
     truth = stack()

@@ -120,6 +120,7 @@ def test_a_scenario_identifies_it_through_drive_and_sensor(tmp_path):
     assert rms["asymmetric"] < 0.4 * rms["prandtl_ishlinskii"]
 
 
+@pytest.mark.full
 def test_a_scenario_identifies_a_plane_of_relays_through_drive_and_sensor(tmp_path):
     """Relays in a lobe aside of the diagonal, which no plays have; voltages of the actuator's whole range."""
     on, off = np.meshgrid(*2 * [(np.arange(20) + 0.5) / 20], indexing="ij")

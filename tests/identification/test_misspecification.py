@@ -29,7 +29,14 @@ def test_a_parameter_moves_back_by_what_it_took_up():
     assert found[1] + change[0] == pytest.approx(2.0, abs=0.005)
 
 
-@pytest.mark.parametrize(("name", "seed"), [("envelope", 5), ("relays", 10), ("bouc_wen", 1)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        pytest.param("envelope", 5, marks=pytest.mark.full),
+        pytest.param("relays", 10, marks=pytest.mark.full),
+        ("bouc_wen", 1),
+    ],
+)
 def test_a_low_pass_behind_another_law_is_within_two_of_its_standard_errors(name, seed):
     g = np.random.default_rng(seed)
     nothing = np.zeros((1, 1)), np.zeros((1, 1, 1))

@@ -60,7 +60,7 @@ def record_of(kind, path, hz, seconds, seed):
     return Record(u, y + 0.005 * np.random.default_rng(seed).standard_normal(y.shape), T)
 
 
-@pytest.mark.parametrize("kind", ["asymmetric", "bouc_wen"])
+@pytest.mark.parametrize("kind", ["asymmetric", pytest.param("bouc_wen", marks=pytest.mark.full)])
 def test_lag_and_creep_behind_each_kind_are_found_again(kind):
     axis = Axis(lag_s=1e-3, creep=(CreepMode(gain=0.06, time_constant_s=0.15),))
     path = discretise(AxesDynamics(axes=(axis,)), T)

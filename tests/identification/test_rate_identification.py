@@ -81,7 +81,9 @@ def without_growth():
 
 
 def test_growth_that_is_not_there_is_not_identifiable_and_plays_are_kept():
-    model, fit = identify(without_growth(), Settings(hysteresis="rate_dependent", error_curve=False))
+    model, fit = identify(
+        without_growth(), Settings(hysteresis="rate_dependent", dynamics="none", error_curve=False)
+    )
     assert isinstance(model.hysteresis, PrandtlIshlinskii)
     told = fit.not_identifiable[0]
     assert told.startswith(
@@ -138,6 +140,7 @@ def test_identify_says_how_thresholds_grow_and_what_it_gains():
 
 
 @pytest.mark.parametrize("hz", [pytest.param(1.0, marks=pytest.mark.long), 10.0, 50.0, 100.0, 200.0])
+@pytest.mark.full
 def test_compensated_sines_stay_within_half_a_percent_from_1_to_200_hz(hz):
     """rms error of both axes in percent of the amplitude; the classical compensator beside it."""
     plant, cycle = stack().on_grid(T).hysteresis, round(1 / hz / T)

@@ -103,7 +103,17 @@ def test_the_next_command_after_a_fit_without_validation_can_be_pasted(tmp_path:
         plays = theory.plays(u, np.array([0.0, 1.0]), np.zeros(2))
         pd.DataFrame({"t": t, "volts": u, "path": plays.sum(axis=0)}).to_csv(tmp_path / name, index=False)
     asked = [str(tmp_path / "my record.csv"), "--inputs", "volts", "--outputs", "path", "--time", "t"]
-    asked += ["--units", "um", "--thresholds", "0,1", "--out", str(tmp_path / "own.json"), "--no-figures"]
+    asked += [
+        "--units",
+        "um",
+        "--thresholds",
+        "0,1",
+        "--dynamics",
+        "none",
+        "--out",
+        str(tmp_path / "own.json"),
+        "--no-figures",
+    ]
     with pytest.raises(SystemExit):
         main(["identify", *asked])
     page = (tmp_path / "own_fit" / "report.md").read_text(encoding="utf-8")

@@ -162,8 +162,8 @@ def test_pages_stay_small(folder: Path, name: str) -> None:
 def test_two_runs_give_the_same_pages(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In another order and folder, so that nothing counts on from page to page."""
     monkeypatch.chdir(folder)
-    assert call("run", "all/swept.toml", "--out", "again", "--interactive") == 0
-    first, second = (folder / where / "swept/report.html" for where in ("reports", "again"))
+    assert call("run", "all/circle.toml", "--out", "again", "--interactive") == 0
+    first, second = (folder / where / "circle/report.html" for where in ("reports", "again"))
     assert first.read_bytes() == second.read_bytes()
 
 
