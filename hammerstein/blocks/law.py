@@ -160,9 +160,8 @@ class Law(Designed, Generic[S]):
 
     def step(self, reference_um: ArrayLike, state: S) -> tuple[Array, S]:
         """Drive (m,) for one sample of reference (p,); equal to ``respond`` to the last bit."""
-        sample = np.require(reference_um, np.float64, ("C", "W"))  # of one type: it is compiled once
-        found = self._step(sample, state) if sample.shape == (self.n_outputs,) else None
-        if found is not None:
+        sample = np.array(reference_um, dtype=np.float64)  # writable, and of one type: it is compiled once
+        if sample.shape == (self.n_outputs,) and (found := self._step(sample, state)) is not None:
             return found
         drive, after = self.respond(sample.reshape(-1, 1), state)  # says what is wrong, where something is
         return drive[:, 0], after

@@ -267,9 +267,8 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         """See ``StaticInverse.solve``."""
         from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
 
-        p, drive = self.n_outputs, np.empty((self.n_inputs, v_um.shape[1]))
-        v_um = np.ascontiguousarray(v_um)  # of one type: it is compiled once
-        back = recovery or Recovery.none(p)
+        p, v_um = self.n_outputs, np.ascontiguousarray(v_um)  # of one type: it is compiled once
+        drive, back = np.empty((self.n_inputs, v_um.shape[1])), recovery or Recovery.none(p)
         left, (w, here) = away.copy(), loaded(*self._design, start.stack, start.hand)
         for first, end in spans(v_um.shape[1]):
             respond_exact(v_um, self.n_inputs - p, *back, left, w, here, first, end, drive)
