@@ -64,7 +64,6 @@ STYLE: dict[str, Any] = {
     "ytick.labelsize": 9.0,
     "legend.fontsize": 9.0,
     "legend.title_fontsize": 9.5,
-    "axes.formatter.use_mathtext": True,
     "legend.frameon": False,
     "legend.handlelength": 3.2,
     "axes.spines.top": False,
