@@ -262,7 +262,14 @@ class _Exchanged(Actuators):
 def sensitivities_of(
     kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> tuple[Sensitivity, ...]:
-    """Indices of every row and figure for every parameter; nothing where the scenario asks for none.
+    """Contribution of each uncertain parameter to the variance of every row and figure.
+
+        first index  S_g = V[E(f | g)] / V[f],    total index  T_g = E[V(f | all but g)] / V[f]
+
+    S_g is the part of the variance that vanishes when g alone becomes known; T_g - S_g is the part of g
+    together with others. Errors of weights are correlated: those of one output are one group g, whitened by
+    the factor of their covariance. Saltelli et al., Computer Physics Communications 181 (2010) 259-270;
+    estimators of SciPy. Nothing where the scenario asks for no sensitivity.
 
     Raises InputError where nothing is uncertain.
     """

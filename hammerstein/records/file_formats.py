@@ -177,7 +177,12 @@ def is_matlab_v4(path: Path) -> bool:
 
 
 def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
-    """Variables of a file by name.
+    """Variables of a MATLAB file of version 5 to 7.2 by name, every length checked against the file.
+
+    SciPy's compiled reader crashed the process on some damaged files. Arrays of numbers, texts, cells and
+    structures are returned as SciPy returns them; sparse matrices, objects and functions are skipped.
+
+    Source: The MathWorks, MAT-File Format (2015), chapter 1.
 
     Parameters
     ----------

@@ -33,6 +33,10 @@ WHY_LOST = "The system does this if the memory is full: use fewer parallel runs 
 class _Crew(Executor, ABC):
     """Threads that take one task after the other; the end of the program does not wait for them.
 
+    Crews have the interface of ``concurrent.futures``, whose threads hold up the end of the program after
+    Ctrl-C, and whose processes give up all tasks when one of them dies, and cannot be ended before Python
+    3.14.
+
     Parameters
     ----------
     workers : how many work at a time; each begins when there is a task for it

@@ -49,6 +49,8 @@ SHIPPED = "shipped"
 def computed_by() -> str:
     """Hash of the package's sources, of the libraries' versions, of Python and of the type of processor.
 
+    If all of these are equal, equal input gives equal bits, and a result may be reused.
+
     Where another package plugs in, every installed version counts, and the sources of that package; of kinds
     that this process has registered, the sources of their modules.
     """

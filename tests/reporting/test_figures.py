@@ -494,3 +494,22 @@ def test_a_logarithmic_axis_has_at_least_two_numbers(ends: tuple[float, float]) 
         plain_numbers(axes.yaxis)
         inside = [tick for tick in axes.yaxis.get_majorticklocs() if ends[0] <= tick <= ends[1]]
     assert len(inside) >= 2
+
+
+def test_numbers_of_any_size_leave_room_for_the_panel() -> None:
+    """An error of rounding is 1e-10 of one that is not: both have short labels, clear of the letter."""
+    with styled():
+        figure = new_figure(3.0)
+        left, right = figure.subplots(1, 2)
+        left.set(yscale="log", ylim=(1e-12, 1e7))
+        plain_numbers(left.yaxis)
+        right.plot([0.0, 1.0], [-3e-9, 4e-9])
+        for number, axes in enumerate((left, right)):
+            letter(axes, number)
+        figure.draw_without_rendering()
+        shown = {text.get_text() for text in left.get_yticklabels()}
+        power = right.yaxis.get_offset_text()
+        named = next(text for text in right.get_children() if getattr(text, "get_text", str)() == "(b)")
+        assert {"1", "0.001", "$10^{-9}$"} <= shown
+        assert "9" in power.get_text()
+        assert power.get_window_extent().x1 <= named.get_window_extent().x0 + 0.5

@@ -1,8 +1,14 @@
-"""Compiled time loop of the exact inverse of rate-dependent plays.
+"""Compiled time loops of exact inverses that see each input of a sample as dead-zones.
 
-The thresholds of a sample are known before it, so that its map is piecewise linear in each voltage and has no
-memory within the sample: plays stand still between p - R and p + R and follow outside. It is given to the
-walk of ``inverse_kernel`` as dead-zones beside a single play of threshold and weight 0.
+The map of a sample is piecewise linear in each voltage and has no memory within the sample. It is given to
+the walk of ``inverse_kernel`` as dead-zones beside a single play of threshold and weight 0.
+
+* Preisach planes: seen from its memory, the output of an input is a polygon in its voltage: it rises along
+  one branch and falls along another, each straight from level to level, and changes branch where a turn is
+  wiped out. At first the map holds the two pieces about the last voltage alone; only where they do not hold
+  the solution is all of it made.
+* Rate-dependent plays: the thresholds of a sample are known before it; plays stand still between p - R and
+  p + R and follow outside.
 """
 
 from __future__ import annotations
