@@ -110,9 +110,19 @@ def test_a_reader_who_has_seen_enough_is_no_mistake(folder):
     assert process.returncode == 0
 
 
-# What the interpreter does before our first line, loading it included, answers a signal in its own way.
-BEGUN = "import sys; sys.stderr.write('\\n'); sys.stderr.flush(); sys.argv[0] = 'hammerstein'; "
-OURS = "from hammerstein.__main__ import main; " + BEGUN + "main()"
+# What the interpreter does before our first line, loading it included, answers a signal in its own way. On a
+# busy machine that line may come late: it says itself when it is done.
+OURS = """
+import sys
+from hammerstein import __main__ as ours
+
+def begin(first=ours.end_when_asked):
+    first()
+    print(file=sys.stderr, flush=True)
+
+sys.argv[0], ours.end_when_asked = "hammerstein", begin
+ours.main()
+"""
 
 
 @pytest.mark.parametrize(

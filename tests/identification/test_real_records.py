@@ -47,7 +47,7 @@ FALLING = (0.0, 90.0, -90.0, 60.0, -60.0, 40.0, -40.0, 90.0, -30.0, 0.0)
 def test_a_little_drift_is_a_note_and_blocks_nothing(part, flagged):
     clean = record(stage(), triangles(FALLING, 400.0))
     ramp = part * np.ptp(clean.y_um) * np.linspace(0.0, 1.0, clean.samples)
-    model, fit = identify([Record(clean.u_v, clean.y_um + ramp, 1.0 / RATE_HZ)], Settings(dynamics="none"))
+    model, fit = identify([Record(clean.u_v, clean.y_um + ramp, 1.0 / RATE_HZ)])
     assert any("drifts by" in text for text in fit.flags) == flagged
     assert any("drifts by" in text for text in fit.notes) != flagged
     assert model.verdict.flagged == flagged
