@@ -135,6 +135,7 @@ def loop_table(record: Record) -> list[Loop]:
     return [
         loop
         for k in driven_inputs(record)
+        if widest_cycle(record, k) is not None
         for o in range(len(record.y_um))
         for loop in pair_loops(record, k, o)
         if driven_alone(record, k, loop.start, loop.stop)
@@ -227,8 +228,7 @@ def widest_cycle(record: Record, k: int, alone: bool = True) -> slice | None:
 
 def _closed(u: Array, cycle: Excursion) -> bool:
     """Whether the voltage ends where it began: the last cycle before another signal does not."""
-    ends = u[[cycle.start, cycle.stop]]
-    return float(np.ptp(ends)) <= SAME_SWING * float(np.ptp(u[cycle.start : cycle.stop + 1]))
+    return bool(np.ptp(u[[cycle.start, cycle.stop]]) <= SAME_SWING * np.ptp(u[cycle.start : cycle.stop + 1]))
 
 
 def move_at_once(record: Record) -> bool:
@@ -257,10 +257,8 @@ def pair_loops(record: Record, input_index: int, output_index: int) -> list[Loop
     noise = max(noise_rms(y), 0.3 * quantum(y))  # rms error of rounding: 0.29 steps
     noise = noise if noise > CLEAN * float(np.ptp(y)) else 0.0
     minor = [excursion for excursion in cycles.excursions if excursion.minor]
-    drawn = [excursion for excursion in cycles.excursions if _drawn(u, excursion)]
-    paths = [_path(u, y, excursion, minor, noise) for excursion in drawn]
-    names = record.inputs[input_index], record.outputs[output_index]
-    loops = [_measured(path, *names) for path in paths]
+    paths = [_path(u, y, excursion, minor, noise) for excursion in cycles.excursions if _drawn(u, excursion)]
+    loops = [_measured(path, record.inputs[input_index], record.outputs[output_index]) for path in paths]
     return [_compared(k, loops, paths, cycles.band_v) for k in range(len(loops))]
 
 
