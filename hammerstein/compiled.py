@@ -197,9 +197,9 @@ class _Watch(numba_events.Listener):
         """Begin to compile a loop, or one that it calls."""
         if not self.said and multiprocessing.parent_process() is None:
             before = _last_time()
-            known = f"last time it took {before:.0f} s" if before else "only after installation"
+            known = f"last time this took {before:.0f} s" if before else "needed once after installation"
             loop = begun.data["dispatcher"].py_func.__name__
-            _warn_once(f"compiling {loop} and the other time loops; {known}")
+            _warn_once(f"compiling {loop} and other loops to machine code; {known}")
         self.said = True
         if self.depth == 0:
             self.began = time.monotonic()

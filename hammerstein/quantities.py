@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, JsonValue
@@ -196,12 +197,22 @@ Plain = Annotated[JsonValue, AfterValidator(_finite_throughout)]
 
 
 def length(um: float, digits: int = 3) -> str:
-    """Position or error in um; below 10 pm it is rounding.
+    """Position or error in um, without an exponent; below 10 pm it is rounding.
 
-    >>> length(0.0123456), length(-4.5e-12)
-    ('0.0123', '0')
+    >>> length(0.0123456), length(-4.5e-12), length(1.2e-5)
+    ('0.0123', '0', '0.00001')
     """
-    return f"{round(um, 5):z.{digits}g}"
+    return f"{Decimal(f'{round(um, 5):z.{digits}g}'):f}"
+
+
+def interval(seconds: float) -> str:
+    """Sample time or delay, in the unit that engineers give it in.
+
+    >>> interval(5e-5), interval(0.00325), interval(1.5)
+    ('50 us', '3.25 ms', '1.5 s')
+    """
+    factor, unit = ((1.0, "s"), (1e3, "ms"), (1e6, "us"))[(seconds < 1.0) + (seconds < 1e-3)]
+    return f"{factor * seconds:.4g} {unit}"
 
 
 def size(number: float) -> str:

@@ -114,7 +114,7 @@ def words_of(group: Any) -> list[str]:
 
     >>> from hammerstein.commands.record_options import RecordFiles
     >>> words_of(RecordFiles(["a.csv", "b.csv"], rate=5e3, accept_gain=True))
-    ['a.csv', 'b.csv', '--rate', '5000.0', '--accept-gain']
+    ['a.csv', 'b.csv', '--rate', '5000', '--accept-gain']
     """
     hints, words = get_type_hints(type(group), include_extras=True), list[str]()
     for field in fields(group):
@@ -124,7 +124,8 @@ def words_of(group: Any) -> list[str]:
             words += map(str, values)
         elif value != field.default:
             name = (info.param_decls or [f"--{field.name.replace('_', '-')}"])[0]
-            words += [name] if value is True else [word for one in values for word in (name, str(one))]
+            plain = [str(one).removesuffix(".0") if isinstance(one, float) else str(one) for one in values]
+            words += [name] if value is True else [word for one in plain for word in (name, one)]
     return words
 
 

@@ -61,8 +61,8 @@ def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
         for part in plan.parts:
             table.add_row(name, part.what, "", size(part.bytes), duration(part.seconds))
     seconds = sum(plan.seconds for plan in plans.values())
-    largest = max(plan.bytes for plan in plans.values())
-    table.add_row("all", "the largest at a time", "", size(largest), duration(seconds))
+    largest = size(max(plan.bytes for plan in plans.values()))
+    table.add_row("all", "the largest at a time", "", largest, duration(seconds))
     if jobs > 1:
         table.add_row("", f"with {jobs} jobs, at best", "", "", duration(seconds / jobs))
     return table
@@ -108,14 +108,13 @@ def judgement_tables(reports: Sequence[Report]) -> Iterator[Table]:
 def compensation_table(found: Compensation) -> Table:
     """One line for each axis: voltages, samples at the range, reference, predicted error."""
     summary = found.summary()
-    intervals = ("reference_um",)
-    names = (*intervals, "predicted_max_um")
-    table = _table("Predicted response", ("axis", "drive_v", "unreached", *names))
+    names = ("axis", "drive_v", "unreached", "reference_um", "predicted_max_um")
+    table = _table("Predicted response", names)
     inputs = list(found.model.inputs)
     for o, (axis, figures) in enumerate(summary["axes"].items()):
         voltage = _span(summary["inputs"][inputs[o]]["drive_v"]) if o < len(inputs) else ""
         unreached = str(summary["unreached_samples"][inputs[o]]) if o < len(inputs) else ""
-        cells = [_span(figures[n]) if n in intervals else length(figures[n], 4) for n in names]
+        cells = [_span(figures["reference_um"]), length(figures["predicted_max_um"], 4)]
         table.add_row(axis, voltage, unreached, *cells)
     return table
 
@@ -128,16 +127,14 @@ def fit_table(fit: Fit) -> Table:
     """One line for each kind of model and output: errors on fitted and validation records."""
     from hammerstein.identification.fit import KIND_NAMES
 
-    names = [f"{of}\nrms [{unit}]" for of in ("fitted", "validation") for unit in ("%", "um")]
-    table = _table("Errors on the records, in % of the range and in um", ("model", "output", "", *names))
+    names = ("fitted\n%", "fitted\num", "valid-\nation %", "valid-\nation um")[: 4 if fit.validation else 2]
+    table = _table("Rms errors, in % of the range and in um", ("model", "output", "", *names))
     for kind, score in fit.fit.items():
-        held = fit.validation.get(kind)
+        scores = [score, *([fit.validation[kind]] if kind in fit.validation else [])]
         for o, output in enumerate(fit.outputs):
-            each = [score.nrmse_percent[o], score.rms_um[o]]
-            each += [] if held is None else [held.nrmse_percent[o], held.rms_um[o]]
-            cells = [f"{value:.3g}" for value in each] + [""] * (len(names) - len(each))
+            cells = [f"{values[o]:.3g}" for one in scores for values in (one.nrmse_percent, one.rms_um)]
             table.add_row(KIND_NAMES[kind], output, "chosen" if kind == fit.kind else "", *cells)
-    return table
+    return _narrow(table, len("output"))
 
 
 def comparison_table(found: Comparison) -> Table:
@@ -147,8 +144,7 @@ def comparison_table(found: Comparison) -> Table:
     table = _table(f"Models compared: errors in % of the range, {RECOMMENDED} recommended", COMPARED)
     for entry in found.entries:
         marked = RECOMMENDED if entry.name == found.recommended else ""
-        times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
-        table.add_row(marked, entry.name, *cells(entry), *times)
+        table.add_row(marked, entry.name, *cells(entry), f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
     return _narrow(table)
 
 
@@ -159,14 +155,13 @@ def rates_table(found: Comparison) -> Table:
     table = _table(f"Errors on records {where}, in % of their range", ("", "model", *rates))
     for entry in found.entries:
         marked = RECOMMENDED if entry.name == found.recommended else ""
-        at = [f"{score.mean_percent:.3g}" for score in entry.judged_at.values()]
-        table.add_row(marked, entry.name, *at)
+        table.add_row(marked, entry.name, *(f"{at.mean_percent:.3g}" for at in entry.judged_at.values()))
     return _narrow(table)
 
 
-def _narrow(table: Table) -> Table:
+def _narrow(table: Table, least: int = len("prandtl_ishlinskii")) -> Table:
     """Let names be broken between words on a narrow terminal, and no number."""
-    table.columns[1].min_width = len("prandtl_ishlinskii")
+    table.columns[1].min_width = least
     for column in table.columns[2:]:
         column.justify, column.no_wrap = "right", True
     table.padding = (0, 0, 0, 1)
@@ -177,8 +172,8 @@ def gains_table(gains: Sequence[Gain]) -> Table:
     """One line a pair: how far the voltage went, how far the output, and their ratio."""
     table = _table("Content of the records", ("input", "output", "", "span_v", "span_um", "gain_um_per_v"))
     for gain in gains:
-        numbers = (gain.span_v, gain.span_um, gain.um_per_v)
-        table.add_row(gain.input, gain.output, "", *(f"{number:.4g}" for number in numbers))
+        numbers = (f"{number:.4g}" for number in (gain.span_v, gain.span_um, gain.um_per_v))
+        table.add_row(gain.input, gain.output, "", *numbers)
     return table
 
 

@@ -199,13 +199,13 @@ class Prediction:
         return "Expected rms error: " + "; ".join(self._of(o, name) for o, name in enumerate(outputs)) + "."
 
     def _of(self, o: int, name: str) -> str:
-        path, parts, more = float(self.path[o]), [], ""
-        parts.append(f"path {length(path, 2)}")
+        parts, more = [f"path {length(float(self.path[o]), 2)}"], ""
         if self.model is None:
             parts, more = [*parts, "model untested"], " without the error of the model"
         else:
             where = "validation" if self.validated else "fitted"
             parts.append(f"model {self.model[o]:.2g} on {where} records")
+            more = " plus an untested constant offset" if self.rest is None else ""
         parts += ["rest position untested"] if self.rest is None else [f"rest position {self.rest[o]:.2g}"]
         parts += [f"converter step {self.converter[o]:.2g}"] if self.converter[o] else []
         parts += [f"sensor noise {self.noise:.2g}"] if self.noise else []

@@ -27,7 +27,7 @@ from hammerstein.export.request import MODEL, ForwardModel, Request
 from hammerstein.export.trial import FLAGS, CallShape, Library, adverse
 from hammerstein.hysteresis import Parallel, ParallelState
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import POSITION_UM, VOLTAGE_V
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, interval
 from hammerstein.validation import Strict
 
 _WORD = re.compile(r"/\*.*?\*/|[A-Za-z_]\w*", re.S)  # a comment is one
@@ -205,7 +205,7 @@ class CCode:
             "n_outputs": p,
             "n_entering": self.shape.entering,
             "n_leaving": self.shape.leaving,
-            "sample_time": f"{self.request.sample_time_s:g} s",
+            "sample_time": interval(self.request.sample_time_s),
             "bound": repr(VOLTAGE_V.high if self.is_model else POSITION_UM.high),
             "step_comment": self._step_comment(),
         }
@@ -256,7 +256,7 @@ class CCode:
         options = "".join(f", {name} = {value}" for name, value in sorted(request.options.items()))
         said = [
             f"Generated from {request.source}, digest {self.model.digest()}: law "
-            f"{request.law}{options}, sample time {request.sample_time_s:g} s.",
+            f"{request.law}{options}, sample time {interval(request.sample_time_s)}.",
             f"Verdict: {_verdict(self.model)}",
         ]
         if isinstance(self.block, ForwardModel):
@@ -270,7 +270,7 @@ class CCode:
             said.append(
                 f"The output at sample k is the drive for the reference of sample k - {ahead}: call step "
                 f"{'once' if ahead == 1 else f'{ahead} times'} with the path before the first drive is due, "
-                f"or accept its delay of {ahead * request.sample_time_s:.3g} s."
+                f"or accept its delay of {interval(ahead * request.sample_time_s)}."
             )
         kind = COMPENSATORS.kinds[request.law]
         also = (

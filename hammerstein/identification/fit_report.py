@@ -41,6 +41,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.records.faults import Fault
 from hammerstein.records.record import Record
+from hammerstein.signals.units import spoken
 
 NIL_THRESHOLD = 1e-3
 """Part of the half swing up to which a threshold is as good as 0, so that its place limits nothing."""
@@ -174,7 +175,7 @@ def _unknown(
         for o, k in built.best.blocks.chosen.open
     ]
     own = _sure_axes(built.best, known) if built.best.axes else built.axes
-    axes = axis_statements(record.outputs, own) if own else []
+    axes = axis_statements([*map(spoken, record.outputs)], own) if own else []
     return [*axes, *sums, *_open_places(task, built, known), *excitation_statements(task.records, response)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Sequence
+from pathlib import PurePath
 
 import numpy as np
 
@@ -132,8 +133,7 @@ def _strongest(records: Sequence[Record], left: Sequence[Array]) -> float:
     for record, error in zip(records, left, strict=True):
         power = np.abs(np.fft.rfft(np.hanning(len(error)) * error)) ** 2 / len(error)
         line = int(np.argmax(power[1:])) + 1
-        hz = line / (len(error) * record.sample_time_s)
-        best = max(best, (float(power[line]), hz))
+        best = max(best, (float(power[line]), line / (len(error) * record.sample_time_s)))
     return best[1]
 
 
@@ -177,7 +177,8 @@ def record_flags(
             if (record.source, record.outputs[o]) in explained:
                 continue
             found.append(
-                f"the error of {record.outputs[o]} in {record.source} is {percent[o]:.1f} % of its range"
+                f"the error of {record.outputs[o]} in {PurePath(record.source).name} is "
+                f"{percent[o]:.1f} % of its range"
             )
     return found
 
@@ -224,9 +225,9 @@ def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]
             rise = abs(float(y[u >= u.max() - margin].mean() - y[u <= u.min() + margin].mean()))
             if rise < BUTTERFLY * float(np.ptp(y)):
                 found.append(
-                    f"{record.outputs[o]} of {record.source} has no rising loop (a butterfly loop or "
-                    f"a strong lag): its tips differ by only {100 * rise / float(np.ptp(y)):.0f} % of "
-                    "the range"
+                    f"{record.outputs[o]} of {PurePath(record.source).name} has no rising loop (a butterfly "
+                    "loop or a strong lag): its tips differ by only "
+                    f"{100 * rise / float(np.ptp(y)):.0f} % of the range"
                 )
     return found
 
@@ -251,7 +252,7 @@ def turning_back_flags(
             returned = _returned(u, y) - _returned(u, candidate.predict(record, start)[o, start.first :])
             if returned > RETURNED * float(np.ptp(y)):
                 found.append(
-                    f"{record.outputs[o]} of {record.source} turns back: it returns by "
+                    f"{record.outputs[o]} of {PurePath(record.source).name} turns back: it returns by "
                     f"{100.0 * returned / float(np.ptp(y)):.0f} % of its range while "
                     f"{record.inputs[k]} keeps its direction; lower the amplitude, or use one "
                     "polarity only"

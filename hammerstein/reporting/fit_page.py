@@ -19,6 +19,7 @@ from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import interval
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.runtime.manifest import Owner
 from hammerstein.runtime.staging import staged, staged_beside
@@ -188,8 +189,9 @@ def _usable(fit: Fit) -> tuple[str, str]:
         return "Usable for simulation only", ": the model has no inverse."
     if fit.flags:
         return "Usable with care", ": the records show effects that the model cannot represent (see below)."
+    better = "; hammerstein compare may find a better model" if "hammerstein compare" in fit.verdict else ""
     untested = "." if fit.validation else "; untested on other records."
-    return "Usable for simulation and compensation", untested
+    return "Usable for simulation and compensation", better + untested
 
 
 def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> tuple[str, str]:
@@ -197,10 +199,8 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
     if not fit.invertible:
         return f"Next: {fit.invertibility}", ""
     if fit.validation:
-        kept = isinstance(model.hysteresis, BoucWen)
-        law = (
-            "inverse_multiplicative" if kept else "exact_inverse" if fit.is_static else "hammerstein_inverse"
-        )
+        law = "exact_inverse" if fit.is_static else "hammerstein_inverse"
+        law = "inverse_multiplicative" if isinstance(model.hysteresis, BoucWen) else law
         file = str(asked.model_file) if asked else f"{model.name}.json"
         return "Next:", _command("compensate", file, "path.csv", "--law", law, "--out", "drive.csv")
     if asked is None:
@@ -222,6 +222,7 @@ def _body(model: HammersteinModel, fit: Fit) -> Markdown:
         kinds=KIND_NAMES,
         dynamics=model.dynamics.describe(),
         close=CLOSE,
+        interval=interval,
         infinity=math.inf,
         rates_hz=dict.fromkeys(f"{record.rate_hz:.6g} Hz" for record in fit.records),
         longest_s=max(record.samples * record.sample_time_s for record in fit.records),

@@ -8,6 +8,7 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.compensators.added_motion import lead_in
+from hammerstein.compensators.attempt import Prediction
 from hammerstein.compensators.cycle import cycle_of
 from hammerstein.compensators.drive_file import compensate
 from hammerstein.dynamics import AxesDynamics, Axis
@@ -155,11 +156,9 @@ def test_columns_are_taken_by_their_names(tmp_path):
 
 
 def test_an_unlimited_model_is_driven_no_further_than_it_was_found(tmp_path, capsys):
-    from dataclasses import replace
-
     from hammerstein.blocks.instruments import Instruments
 
-    model = replace(HammersteinModel.load("duo_bimorph"), instruments=Instruments.ideal())
+    model = dataclasses.replace(HammersteinModel.load("duo_bimorph"), instruments=Instruments.ideal())
     model.save(tmp_path / "stage.json")
     _circle(tmp_path / "far.csv", x=70.0, y=40.0)
     command = ("compensate", tmp_path / "stage.json", tmp_path / "far.csv", "--out", tmp_path / "d.csv")
@@ -395,3 +394,11 @@ def test_what_is_expected_names_every_contribution_and_their_rms(tmp_path, capsy
     _circle(tmp_path / "circle.csv", samples=400)
     assert _call("compensate", "duo_bimorph", "circle.csv") == 0
     assert "model untested" in capsys.readouterr().out
+
+
+def test_an_untested_rest_position_is_no_part_of_the_expected_error():
+    """An actuator that began elsewhere missed by 0.94 um where 0.13 um was expected."""
+    known = Prediction(np.zeros(1), np.zeros(1), np.array([0.13]), True, None, np.zeros(1), 0.0)
+    assert "x 0.13 um plus an untested constant offset (path 0, " in known.statement(("x",))
+    path = dataclasses.replace(known, path=np.array([1.2e-5])).statement(("x",))
+    assert "(path 0.00001, " in path

@@ -10,6 +10,7 @@ from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynami
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import interval
 
 T = 50e-6
 S = control.tf("s")
@@ -119,8 +120,8 @@ def test_preview_is_one_sample_for_a_resonant_axis_and_stated_for_others():
 def test_the_statement_counts_samples_of_preview(known):
     law = HammersteinInverseLaw(_model(_axes(280.0)), 10.0, T, preview_s=known * T, filter_hz=1000.0)
     counted = "1 sample" if known == 1 else f"{known} samples"
-    assert f"the law needs the reference {counted} ahead ({known * T:.3g} s)" in law.statement()
-    assert f"the position is {(law.needed_samples - known) * T:.3g} s late" in law.statement()
+    assert f"the law needs the reference {counted} ahead ({1e6 * known * T:.4g} us)" in law.statement()
+    assert f"the position is {interval((law.needed_samples - known) * T)} late" in law.statement()
 
 
 def test_gain_of_the_inverse_is_large_above_the_resonance():
@@ -138,7 +139,7 @@ def test_without_preview_the_position_follows_by_the_stated_delay():
     assert law.preview_samples == 0
     assert law.delay_samples == 3 + len(law.taps) // 2
     assert law.delay_s == pytest.approx(law.delay_samples * T)
-    assert f"{law.delay_s:.3g} s late" in law.statement()
+    assert f"{interval(law.delay_s)} late" in law.statement()
     position = _position(model, law.drive_for(path))
     late = law.delay_samples
     assert np.abs(position[:, 800:] - path[:, 800 - late : -late]).max() < 0.01

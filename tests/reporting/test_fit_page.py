@@ -106,3 +106,29 @@ def test_a_gain_that_is_scatter_is_not_drawn_and_a_flat_one_has_no_peaks(fits: t
             assert high >= 1.49 * low
             assert axes.get_xlim() == (1.0, 10.0)
         np.testing.assert_allclose(panels[3 * o + 2].lines[0].get_ydata(), coherence[o])
+
+
+def test_the_table_of_a_fit_keeps_its_words_whole_in_80_columns(fits: tuple[Found, Found]) -> None:
+    from rich.console import Console
+
+    from hammerstein.commands.terminal_tables import fit_table
+
+    fit = fits[0][1]
+    console = Console(width=80, record=True)
+    every = dict.fromkeys(("linear_dynamics", "hammerstein", fit.kind), fit.fit[fit.kind])
+    console.print(fit_table(replace(fit, fit=every, outputs=("Weg Kanal 1", "Weg Kanal 2"))))
+    lines, last = console.export_text(), fit.validation[fit.kind].rms_um[1]
+    for word in ("ation um", f"{last:.3g}\n", "Hammerstein ", "static hysteresis", "Kanal 2", "chosen"):
+        assert word in lines.replace(" \n", "\n")
+    console.print(fit_table(fits[1][1]))
+    assert "ation %" not in console.export_text()
+
+
+def test_an_error_far_above_the_noise_names_the_command_that_helps(fits: tuple[Found, Found]) -> None:
+    model, fit = fits[0]
+    found = replace(fit, flags=(), verdict="hammerstein compare tries every kind on these records.")
+    assert "; hammerstein compare may find a better model." in fit_page(model, found).markdown()
+
+
+def test_a_sample_time_is_given_in_us(fits: tuple[Found, Found]) -> None:
+    assert "samples of 200 us" in fit_page(*fits[0]).markdown().replace("1 sample of", "samples of")

@@ -149,14 +149,14 @@ def test_one_scenario_compiles_what_it_needs_and_the_next_run_nothing(tmp_path, 
 
     first = told()
     assert first.startswith("compiling ")
-    assert first.endswith(" and the other time loops; only after installation\n")
+    assert first.endswith(" and other loops to machine code; needed once after installation\n")
     assert told() == ""
     (folder,) = (tmp_path / "loops").glob("loops-*")
     assert 1 <= len(list(folder.rglob("*.nbi"))) <= most
     seconds = float((tmp_path / "loops/compiled_s.txt").read_text())
     assert seconds > 0.1
     shutil.rmtree(folder)
-    assert f"last time it took {seconds:.0f} s" in told()
+    assert f"last time this took {seconds:.0f} s" in told()
 
 
 LOOP = """

@@ -21,7 +21,7 @@ from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
 from hammerstein.dynamics import LinearBlock, WithLoop
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import Frequency, Volts, Wait
+from hammerstein.quantities import Frequency, Volts, Wait, interval
 
 EFFORT = 1e-4  # small: the drive then leaves its range only when the path is nearly met again
 DOUBLINGS = 11  # of one sample: a horizon of 2048
@@ -148,13 +148,13 @@ class HammersteinInverseLaw(Law[PathState]):
         if ahead != self.linear.preview_samples or self.delay_samples:
             parts.append(
                 f"With its filter, the law needs the reference {samples} ahead "
-                f"({ahead * self.sample_time_s:.3g} s)"
-                + (f"; the position is {self.delay_s:.3g} s late." if self.delay_samples else ".")
+                f"({interval(ahead * self.sample_time_s)})"
+                + (f"; the position is {interval(self.delay_s)} late." if self.delay_samples else ".")
             )
         if not self.delay_samples:
             parts.append(
                 f"If a path starts away from rest, its start needs the first {self.start_samples} "
-                f"samples of the path ({self.start_samples * self.sample_time_s:.3g} s)."
+                f"samples of the path ({interval(self.start_samples * self.sample_time_s)})."
             )
         return " ".join(parts)
 

@@ -11,6 +11,7 @@ import numpy as np
 from hammerstein.arrays import Array, Complex, Indices, spans
 from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.quantities import interval
 
 LONGEST_FILTER = 100_000
 """Taps; two seconds of a path at 50 kHz."""
@@ -133,13 +134,11 @@ class LinearInverse:
     def statement(self) -> str:
         """Say how far ahead it looks, and at which frequencies it asks for much drive."""
         ahead = self.preview_samples
-        seconds = ahead * self.block.sample_time_s
-        samples = "1 sample" if ahead == 1 else f"{ahead} samples"
-        text = f"The inverse of the dynamics looks {samples} ahead ({seconds:.3g} s)"
-        outside = self.zeros[np.abs(self.zeros) > 1.0]
-        if len(outside):
-            slowest = float(np.abs(outside).min())
-            text += f", for {len(outside)} zeros outside the unit circle (the slowest at |z| = {slowest:.4g})"
+        samples, time = f"{ahead} sample{'s' * (ahead != 1)}", interval(ahead * self.block.sample_time_s)
+        text = f"The inverse of the dynamics looks {samples} ahead ({time})"
+        zeros = sorted(np.abs(self.zeros)[np.abs(self.zeros) > 1.0])
+        if zeros:
+            text += f", for {len(zeros)} zeros outside the unit circle (the slowest at |z| = {zeros[0]:.4g})"
         bands = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in self.large_gain_hz)
         if bands:
             text += f"; it needs more than {LARGE_GAIN:g} times the drive of a slow path at {bands} Hz"
