@@ -203,13 +203,13 @@ def _table(path: Path) -> Iterator[tuple[str, str]]:
         raise InputError(str(path), "is a Parquet file; use pandas.read_parquet to see its columns")
     refuse_missing(path)
     layout = find_layout(path)
-    columns = read_columns(path, [str(number + 1) for number in range(min(layout.width, MOST_COLUMNS))])
-    yield "rows", str(columns.values.shape[1])
-    for number, (name, values) in enumerate(zip(columns.names, columns.values, strict=True), start=1):
+    held = read_columns(path, [str(number + 1) for number in range(min(layout.width, MOST_COLUMNS))])
+    yield "rows", str(held.values.shape[1])
+    for number, (name, unit, values) in enumerate(zip(held.names, held.units, held.values, strict=True), 1):
         known = values[np.isfinite(values)]
         span = f"{known.min():.6g} to {known.max():.6g}" if known.size else "no number"
         missing = f", {values.size - known.size} missing" if known.size < values.size else ""
-        yield (name if name != str(number) else f"column {number}"), span + missing
+        yield "column " * (name == str(number)) + name + f" {unit}" * (unit not in name), span + missing
     for number, line in enumerate(_notes(path, layout.encoding), start=1):
         yield f"note {number}", line
 

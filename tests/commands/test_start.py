@@ -353,6 +353,15 @@ def test_show_lists_the_arrays_of_a_file_and_how_their_columns_are_named(
     assert array_columns(tmp_path / "one.npy", ["3:2"])[0].shape == (1, 40)
 
 
+def test_show_names_the_unit_of_a_column_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "\n".join(f"{k};{2 * k},5;{k}" for k in range(30))
+    (tmp_path / "weg.csv").write_text(f"Zeit;Weg;u (V)\n[ms];[nm];\n{rows}\n")
+    assert call("show", tmp_path / "weg.csv") == 0
+    printed = capsys.readouterr().out
+    for words in ("Zeit [ms] ", "Weg [nm] ", "u (V)  "):
+        assert words in printed
+
+
 def test_a_run_writes_where_init_pointed(tmp_path, monkeypatch):
     """From above the folder: beside the scenario, where reports lie already; else into the working folder."""
     monkeypatch.chdir(tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import shlex
@@ -141,6 +142,18 @@ def test_processes_side_by_side_change_no_number(found: hammerstein.Comparison) 
     again = hammerstein.compare(records, PLAIN, validation=held, jobs=2)
     assert again.to_json() == found.to_json()
     assert compare_page(again).markdown() == compare_page(found).markdown()
+
+
+def test_one_frequency_has_no_table_of_its_own(found: hammerstein.Comparison) -> None:
+    """A multisine's record has a mean frequency, and repeating the table above under it said nothing."""
+    assert "## Errors at each frequency" in compare_page(found).markdown()
+    only = [
+        dataclasses.replace(one, fitted_at=dict([*one.fitted_at.items()][:1]), held_at={})
+        for one in found.entries
+    ]
+    page = compare_page(dataclasses.replace(found, entries=tuple(only))).markdown()
+    assert "## Errors at each frequency" not in page
+    assert "## Inverses" in page
 
 
 def test_every_model_has_its_file_and_the_next_command_drives_the_recommended_one(
