@@ -61,8 +61,8 @@ def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
         for part in plan.parts:
             table.add_row(name, part.what, "", size(part.bytes), duration(part.seconds))
     seconds = sum(plan.seconds for plan in plans.values())
-    largest = size(max(plan.bytes for plan in plans.values()))
-    table.add_row("all", "the largest at a time", "", largest, duration(seconds))
+    largest = max(plan.bytes for plan in plans.values())
+    table.add_row("all", "the largest at a time", "", size(largest), duration(seconds))
     if jobs > 1:
         table.add_row("", f"with {jobs} jobs, at best", "", "", duration(seconds / jobs))
     return table
@@ -171,9 +171,8 @@ def _narrow(table: Table, least: int = len("prandtl_ishlinskii")) -> Table:
 def gains_table(gains: Sequence[Gain]) -> Table:
     """One line a pair: how far the voltage went, how far the output, and their ratio."""
     table = _table("Content of the records", ("input", "output", "", "span_v", "span_um", "gain_um_per_v"))
-    for gain in gains:
-        numbers = (f"{number:.4g}" for number in (gain.span_v, gain.span_um, gain.um_per_v))
-        table.add_row(gain.input, gain.output, "", *numbers)
+    for g in gains:
+        table.add_row(g.input, g.output, "", *(f"{n:.4g}" for n in (g.span_v, g.span_um, g.um_per_v)))
     return table
 
 

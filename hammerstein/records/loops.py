@@ -292,9 +292,8 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
     smooth = np.concatenate([_smooth(y[: path.turn], path.noise), _smooth(y[path.turn :], path.noise)])
     low, high = float(u.min()), float(u.max())
     mid = 0.5 * (low + high)
-    falling_first = u[path.turn] < u[0]
     first, second = slice(0, path.turn + 1), slice(path.turn, None)
-    rising, falling = (second, first) if falling_first else (first, second)
+    rising, falling = (second, first) if u[path.turn] < u[0] else (first, second)
     width = _at(u[falling], y[falling], mid, path.noise) - _at(u[rising], y[rising], mid, path.noise)
     sign = _sign(u, y, path)
     u_start, y_start, u_stop, y_stop = path.tips
