@@ -76,7 +76,7 @@ from .records.reading import (
     records_of_time_response as records_of_time_response,
 )
 from .records.record import Record as Record
-from .regression.check import check as check
+from .regression.result import check as check
 from .scenario import Scenario as Scenario, load_scenario as load_scenario
 from .scenario.assessment import Assessment as Assessment, Judgement as Judgement
 from .signals import (

@@ -51,7 +51,7 @@ class ScenarioItem(pytest.Item):
     def runtest(self) -> None:
         """Run and compare; fail with the table of what differs, or with what is wrong in the file."""
         from hammerstein.errors import HammersteinError
-        from hammerstein.regression.check import check_files
+        from hammerstein.regression.result import check_files
 
         try:
             result = check_files([_shortest(self.path, self.config)], _baseline_folder(self.config))

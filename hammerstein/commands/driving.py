@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hammerstein.commands.law_options import LawWords, RangeWords, Reached, Sent, volts
+from hammerstein.commands.option_groups import AsJson, LawWords, Overwrite, RangeWords, Reached, Sent, volts
 from hammerstein.commands.options import grouped, refuse_output, told_by_options, write_output
-from hammerstein.commands.record_options import AsJson, Overwrite
 from hammerstein.commands.terminal import show, tell, tell_json, tell_kept, tell_statements, watched
 from hammerstein.errors import InputError
+
+if TYPE_CHECKING:
+    from hammerstein.compensators.cycle import Cycle
+    from hammerstein.compensators.drive_file import Terms
+    from hammerstein.compensators.learning import IlcUpdate
+    from hammerstein.compensators.path_file import Onlooker
+    from hammerstein.runtime.manifest import Owner
 
 
 @grouped
@@ -71,8 +78,8 @@ def compensate(
 
     The predicted response is written beside them.
     """
-    from hammerstein.commands.periods import Period, TableRequest, run_up_of, write_cycle, write_ilc_update
     from hammerstein.commands.terminal_tables import compensation_table
+    from hammerstein.compensators.cycle import cycle_of
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
 
     if uncertainty is not None and learn is None:
@@ -85,20 +92,32 @@ def compensate(
     read = [Path(model), reference, *(learn or ()), *(before or ())]
     refuse_output(out, read, wanted.owner(), overwrite)
     periodic = cycle or table is not None or learn is not None
+    run_up = out.with_name(f"{out.stem}.run_up.csv")
     if periodic:
-        refuse_output(run_up_of(out), read, DRIVE, overwrite)
-    terms = reached.terms(sent)
+        refuse_output(run_up, read, DRIVE, overwrite)
+    asked, terms = (model, reference, law, options), reached.terms(sent)
     with told_by_options("compensate", words.own), watched() as onlooker:
-        period = Period(model, reference, law, options, terms, out, wanted, as_json, onlooker, overwrite)
         if periodic:
             reached.refuse_with_period()
-        if learn is not None:
-            write_ilc_update(period, learn, uncertainty or "0.05,0.01", before)
+            if learn is None:
+                period, taught = cycle_of(*asked, terms, onlooker), None
+            else:
+                period, taught = _learnt(asked, learn, uncertainty or "0.05,0.01", terms, onlooker, before)
+            said, errors, text = wanted.form(period)
+            write_output(out, text, wanted.owner(), overwrite)
+            write_output(run_up, period.run_up_csv(), DRIVE, overwrite)
+            figures: dict[str, Any] = {}
+            if taught is not None:
+                said = [taught.statement(), *said]
+                figures = {name: getattr(taught, name) for name in ("finished", "error_rms_um", "noise_um")}
+            figures["rms_um"] = errors
+            if as_json:
+                tell_json({"drive": str(out), "run_up": str(run_up), **figures, "statements": said})
+                return
+            tell_statements(said)
+            tell(f"run-up in {run_up}, {'one' if taught is None else 'next'} period in {out}")
             return
-        if periodic:
-            write_cycle(period)
-            return
-        found = compensated(model, reference, law, options, terms, onlooker)
+        found = compensated(*asked, terms, onlooker)
         write_output(out, found.to_csv(onlooker.tell), wanted.owner(), overwrite)
     if as_json:
         tell_json({"drive": str(out), **found.summary()})
@@ -239,3 +258,70 @@ def export(
         return
     tell_statements(written.statements)
     tell(f"{', '.join(written.files)} in {out}; run make check there to replay golden.csv")
+
+
+class TableRequest(NamedTuple):
+    """What a person asks of a wave table; no device: the period as a drive file."""
+
+    device: str | None
+    scale: str | None
+    points: int | None
+
+    def check(self) -> None:
+        """Raise InputError for words that are none, before anything is computed."""
+        from hammerstein.compensators.wave_table import DEVICES
+
+        if self.device is None and (self.scale is not None or self.points is not None):
+            raise InputError("--table-scale, --table-points", "need --table")
+        if self.device is not None and self.device not in DEVICES:
+            raise InputError("--table", f"{self.device!r} is not one of {', '.join(DEVICES)}")
+        scale = self.factors()
+        if scale is not None and (scale[0] == 0.0 or not all(map(math.isfinite, scale))):
+            raise InputError(
+                "--table-scale", "must be FACTOR or FACTOR,OFFSET, finite, with a factor other than 0"
+            )
+
+    def owner(self) -> Owner:
+        """Who writes the file."""
+        from hammerstein.compensators.drive_file import DRIVE
+        from hammerstein.compensators.wave_table import WAVE_TABLE
+
+        return DRIVE if self.device is None else WAVE_TABLE
+
+    def factors(self) -> tuple[float, float] | None:
+        """Factor and offset from volts to the numbers of the table."""
+        scale = volts("--table-scale", self.scale)
+        if scale is None:
+            return None
+        if len(scale) > 2:
+            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
+        return scale[0], scale[1] if len(scale) == 2 else 0.0
+
+    def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
+        """What must be known of a period, its errors [um], and the text of its file."""
+        from hammerstein.compensators.wave_table import wave_table
+        from hammerstein.metrics import rms
+
+        if self.device is None:
+            return found.statements(), [rms(found.error_um)], found.to_csv()
+        table = wave_table(found, self.device, self.factors(), self.points)
+        return table.statements(), list(table.errors_um), table.text()
+
+
+def _learnt(
+    asked: tuple[str, Path, str, dict[str, Any]],
+    trial: tuple[Path, Path],
+    uncertainty: str,
+    terms: Terms,
+    onlooker: Onlooker,
+    before: tuple[Path, Path] | None,
+) -> tuple[Cycle, IlcUpdate]:
+    """Next period of a path, from a trial, and what was learnt."""
+    from hammerstein.compensators.learning import ModelUncertainty, learn_from_files
+
+    deviations = volts("--uncertainty", uncertainty) or ()
+    if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
+        raise InputError(
+            "--uncertainty", f"{uncertainty!r} must be two relative standard deviations, such as 0.05,0.01"
+        )
+    return learn_from_files(*asked, trial, ModelUncertainty(*deviations), terms, onlooker, before)

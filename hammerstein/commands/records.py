@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS
-from hammerstein.commands.options import grouped, refuse_output, words_of
-from hammerstein.commands.record_options import (
+from hammerstein.commands.option_groups import (
     AcceptOrder,
     AsJson,
     HeldBack,
@@ -23,6 +22,7 @@ from hammerstein.commands.record_options import (
     RecordFiles,
     StaticBlock,
 )
+from hammerstein.commands.options import grouped, refuse_output, words_of
 from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.errors import InputError, naming
 from hammerstein.escaping import one_line

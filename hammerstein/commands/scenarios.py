@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
+from hammerstein.commands.option_groups import AsJson, Overwrite
 from hammerstein.commands.options import write_output
-from hammerstein.commands.record_options import AsJson, Overwrite
 from hammerstein.commands.terminal import Watch, complain, show, tell, tell_json, tell_kept
 from hammerstein.errors import InputError
 from hammerstein.files import refuse_unwritable
@@ -278,8 +278,7 @@ def check(
     They are run again, and every number is compared with its baseline.
     """
     from hammerstein.experiment.run import load_all
-    from hammerstein.regression.check import check_files
-    from hammerstein.regression.result import JUNIT, SUMMARY
+    from hammerstein.regression.result import JUNIT, SUMMARY, check_files
     from hammerstein.reporting.check_page import CHECK_PAGE, check_page
     from hammerstein.runtime.staging import prepare_file
 

@@ -1,17 +1,27 @@
-"""Base class of compensators: options, and the design of a law for a model and a drive."""
+"""What a compensator is, and those that see each input alone: none at all, the inverse of its own pair."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from hammerstein.blocks.driving import RangeLike
+import numpy as np
+
+from hammerstein.arrays import Array, spans
+from hammerstein.blocks import Law, Memory, require_square
+from hammerstein.blocks.driving import DriveRange, RangeLike
+from hammerstein.dynamics import linear
+from hammerstein.errors import InputError, SimulationError
+from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
+from hammerstein.model import HammersteinModel
 from hammerstein.plugins import Family
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
-    from hammerstein.blocks import Controller, Law, Learner
-    from hammerstein.model import HammersteinModel
+    from hammerstein.blocks import Controller, Learner
 
 
 class Compensator(Strict, ABC):
@@ -47,3 +57,196 @@ class Compensator(Strict, ABC):
 
 
 COMPENSATORS: Family[Compensator] = Family(Compensator, "law")  # type: ignore[type-abstract]
+
+
+class NoCompensationLaw(Law[Memory]):
+    """U = U_start + G^+ Y_r, with the gain matrix G of the settled loops.
+
+    This is the least drive if inputs outnumber outputs.
+
+    This is what one sends without a compensator: the right size, and all of the hysteresis.
+    """
+
+    def __init__(self, model: HammersteinModel, range_v: RangeLike):
+        self.n_inputs, self.n_outputs = model.hysteresis.n_inputs, model.hysteresis.n_outputs
+        self.gain_v_per_um: Array = np.ascontiguousarray(
+            np.linalg.pinv(model.gain(model.amplitude_v)), dtype=np.float64
+        )
+        self.range = DriveRange.of(range_v, model)
+        self.origin_um = np.zeros(self.n_outputs)
+        self.base_v = self.range.start_v - self.range.working_point_v
+        self._frame = self._frame_of_steps()
+        self._limits = np.stack([self.base_v, *self.range.counted])
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        from hammerstein.compensators.kernels import step_gain  # looked up once: a step is short
+
+        return step_gain
+
+    def _step(self, sample_um: Array, state: Memory) -> tuple[Array, Memory] | None:
+        drive, sound = self._compiled_step(sample_um, self._frame, self.gain_v_per_um, self._limits)
+        return (drive, state) if sound else None
+
+    def rest(self) -> Memory:
+        """Return the empty state."""
+        return Memory()
+
+    def _respond(self, reference_um: Array, start: Memory) -> tuple[Array, Memory]:
+        from hammerstein.compensators.kernels import respond_gain
+
+        drive = np.empty((self.n_inputs, reference_um.shape[1]))
+        law = (self.gain_v_per_um, self.base_v, *self.range.counted)
+        for first, stop in spans(reference_um.shape[1]):
+            respond_gain(reference_um, *law, first, stop, drive)
+        return drive, start
+
+
+class NoCompensation(Compensator):
+    """The inverse of the low-frequency gain matrix."""
+
+    law: Literal["none"] = "none"
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
+        """Build the law, see ``Compensator.design``."""
+        return NoCompensationLaw(model, range_v)
+
+
+@dataclass(frozen=True, eq=False)
+class InverseState(Memory):
+    """Memory of the inverse: its plays, the last value before the jump (m,) [V] and its direction (m,)."""
+
+    plays: PlayState
+    last_v: Array
+    direction: Array
+
+
+def inverse_pair(pair: Pair, axis: str = "pair") -> Pair:
+    """Analytic inverse of one bank whose smallest threshold is zero.
+
+    With s_j = w_1 + ... + w_j:
+
+        r'_j = sum over i <= j of w_i (r_j - r_i),  w'_1 = 1 / w_1,  w'_j = -w_j / (s_j s_{j-1})
+
+    Source: Kuhnen, European Journal of Control 9 (2003) 407-418 (paper, reference 20).
+
+    Raises
+    ------
+    SimulationError : a partial sum of the weights is not positive, or there is no operator
+
+    Examples
+    --------
+    >>> inverse_pair(Pair([0.0, 1.0], [2.0, 2.0])).weights_um_per_v
+    array([ 0.5 , -0.25])
+    """
+    r, w, s = pair.thresholds_v, pair.weights_um_per_v, pair.slopes
+    if len(r) == 0:
+        raise SimulationError(f"{axis} has no operator, so it has no inverse.")
+    if (s <= 0).any():
+        j = int(np.argmax(s <= 0))
+        raise SimulationError(
+            f"{axis} has no inverse: its slope is {s[j]:.3g} um/V when {j + 1} operators move "
+            f"(threshold {r[j]:.3g} V). This happens if phase lag is identified as hysteresis; "
+            "identify at a lower frequency, or with bounded partial sums."
+        )
+    thresholds = np.array([w[: j + 1] @ (r[j] - r[: j + 1]) for j in range(len(r))])
+    weights = np.concatenate([[1.0 / w[0]], -w[1:] / (s[1:] * s[:-1])])
+    return Pair(thresholds, weights)
+
+
+class DecoupledInverseLaw(Law[InverseState]):
+    """Each axis inverted on its own, as if the cross-couplings were not there.
+
+    A smallest threshold r_1 above zero is split off, for play(a) after play(b) is play(a+b): the bank is
+    (thresholds r - r_1) after play(r_1), and the inverse of play(r_1) jumps by 2 r_1 at a reversal.
+    """
+
+    def __init__(self, model: HammersteinModel, range_v: RangeLike):
+        hysteresis = model.hysteresis
+        if not isinstance(hysteresis, PrandtlIshlinskii):
+            raise InputError(
+                "decoupled_inverse",
+                f"inverts plays only; the model's hysteresis is of kind {hysteresis.kind!r}",
+            )
+        require_square(hysteresis.n_inputs, hysteresis.n_outputs, "decoupled_inverse")
+        m = self.n_inputs = self.n_outputs = hysteresis.n_inputs
+        self.range = DriveRange.of(range_v, model)
+        inverses = []
+        self.jump_v = np.zeros(m)
+        for k in range(m):
+            direct = hysteresis.pairs[k][k]
+            smallest = direct.thresholds_v[:1].sum()
+            shifted = Pair(direct.thresholds_v - smallest, direct.weights_um_per_v)
+            inverses.append(inverse_pair(shifted, f"Direct transfer {model.outputs[k]}"))
+            self.jump_v[k] = smallest
+        self.inverse = _alone(inverses)
+        self._start, self.origin_um = self._at_start(hysteresis)
+        self._frame = self._frame_of_steps()
+        self._limits = np.stack([self.jump_v, *self.range.counted])
+
+    @cached_property
+    def _compiled_step(self) -> Any:
+        """What is compiled, and what of the design it wants: looked up once, for a step is short."""
+        from hammerstein.compensators.kernels import step_decoupled
+
+        b = self.inverse.bank
+        return step_decoupled, (
+            *(self._frame, self._limits, b.r, b.guide, b.scale, b.n, b.lines, b.w),
+            (0,) * self.n_outputs,
+        )
+
+    def _step(self, sample_um: Array, state: InverseState) -> tuple[Array, InverseState] | None:
+        step, design = self._compiled_step
+        plays = state.plays
+        stack = (plays.count, plays.end, plays.x, plays.d, plays.below, plays.window)
+        drive, stack, last, direction, sound = step(sample_um, *design, *stack, state.last_v, state.direction)
+        return (drive, InverseState(PlayState(*stack), last, direction)) if sound else None
+
+    def _at_start(self, hysteresis: PrandtlIshlinskii) -> tuple[InverseState, Array]:
+        """State of the inverse where the actuator stands, and the direct positions (p,) there [um].
+
+        The inverse has gone through the positions that the voltages before the start led to.
+        """
+        history = self.range.history()
+        direct = _alone([hysteresis.pairs[k][k] for k in range(self.n_inputs)])
+        passed = direct.respond(history)[0]
+        if history.shape[1] == 1:
+            return InverseState(self.inverse.rest(), *np.zeros((2, self.n_inputs))), passed[:, -1]
+        v, plays = self.inverse.respond(passed)
+        jump = np.where(self.jump_v > 0.0, self.jump_v, np.inf)
+        direction = np.clip((history[:, -1] - v[:, -1]) / jump, -1.0, 1.0)
+        return InverseState(plays, v[:, -1], direction), passed[:, -1]
+
+    def rest(self) -> InverseState:
+        """Inverse of an actuator at its start."""
+        return self._start
+
+    def _respond(self, reference_um: Array, start: InverseState) -> tuple[Array, InverseState]:
+        from hammerstein.compensators.kernels import respond_inverse_play
+
+        v, plays = self.inverse.respond(self._from_rest(reference_um), start.plays)
+        last, direction = start.last_v.copy(), start.direction.copy()
+        drive = np.empty_like(v)
+        for first, stop in spans(v.shape[1]):
+            respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, first, stop, drive)
+        return drive, InverseState(plays, last, direction)
+
+
+def _alone(direct: Sequence[Pair]) -> PrandtlIshlinskii:
+    """Direct transfers without any coupling."""
+    absent = Pair.absent()
+    return PrandtlIshlinskii(
+        tuple(tuple(pair if i == k else absent for i in range(len(direct))) for k, pair in enumerate(direct))
+    )
+
+
+class DecoupledInverse(Compensator):
+    """Analytic inverse of each direct transfer, without cross-coupling (paper, reference 20)."""
+
+    static: ClassVar[bool] = True
+    law: Literal["decoupled_inverse"] = "decoupled_inverse"
+
+    def design(self, model: HammersteinModel, range_v: RangeLike, sample_time_s: float) -> Law[Any]:
+        """Build the law, see ``Compensator.design``."""
+        linear(model.dynamics)
+        return DecoupledInverseLaw(model, range_v)

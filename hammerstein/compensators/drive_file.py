@@ -15,10 +15,9 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.added_motion import approached, lead_in
-from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, Prediction, compensator_of
+from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, Missed, Prediction, compensator_of
 from hammerstein.compensators.path_file import UNWATCHED, Onlooker, Tell, drive_csv, read_path
 from hammerstein.compensators.reach import Reach, Shortfall, reach
-from hammerstein.compensators.remedies import Missed
 from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.records.turning_points import noise_rms

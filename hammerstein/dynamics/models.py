@@ -171,8 +171,10 @@ class AxesDynamics(Strict):
 
     def block(self) -> LinearBlock:
         """Return its matrices, in continuous time."""
+        from scipy.linalg import block_diag
+
         each = [axis.block() for axis in self.axes]
-        a, b, c, d = (_along_the_diagonal([getattr(block, name) for block in each]) for name in "ABCD")
+        a, b, c, d = (block_diag(*(getattr(block, name) for block in each)) for name in "ABCD")
         return LinearBlock(a, b, c, d, CONTINUOUS)
 
 
@@ -316,16 +318,6 @@ def _mode(resonance_hz: float, damping_ratio: float) -> StateMatrices:
     w = 2.0 * math.pi * resonance_hz
     a, b = [[0.0, w], [-w, -2.0 * damping_ratio * w]], [[0.0], [w]]
     return np.array(a), np.array(b), np.array([[1.0, 0.0]]), np.array([[0.0]])
-
-
-def _along_the_diagonal(parts: Sequence[Array]) -> Array:
-    """Matrix with these matrices along its diagonal; one without rows or columns takes its room as well."""
-    found = np.zeros(tuple(np.sum([part.shape for part in parts], axis=0)))
-    row = column = 0
-    for part in parts:
-        found[row : row + part.shape[0], column : column + part.shape[1]] = part
-        row, column = row + part.shape[0], column + part.shape[1]
-    return found
 
 
 def creep(gains: Sequence[float], time_constants_s: Sequence[float]) -> control.StateSpace:

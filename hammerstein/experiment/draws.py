@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import threading
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -28,34 +27,19 @@ TOGETHER = 25  # actuators that are worked out, and kept, in one piece
 
 
 @dataclass(frozen=True, eq=False)
-class Actuators(ABC):
+class Actuators:
     """Many actuators near the nominal one, in a form that another process can use.
 
     what : description for a person who watches
+    key : everything that tells them from others, as plain JSON; how many there are does not count
+    count : how many there are
+    numbered : gives the actuator of a number, and the seed of its noise
     """
 
-    uncertainty: Uncertainty
-    nominal: Plant
-    scenario_seed: int
-    what: ClassVar[str]
-
-    @property
-    @abstractmethod
-    def key(self) -> Any:
-        """Everything that tells them from others, as plain JSON; how many there are does not count."""
-
-    @property
-    @abstractmethod
-    def count(self) -> int:
-        """How many there are."""
-
-    @abstractmethod
-    def plant(self, number: int) -> Plant:
-        """Return the actuator of a number."""
-
-    @abstractmethod
-    def seed(self, number: int) -> int:
-        """Return the seed of its noise."""
+    what: str
+    key: Any
+    count: int
+    numbered: Callable[[int], tuple[Plant, int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,21 +117,18 @@ class _Run:
         """Key of these actuators, as plain JSON."""
         return [self.actuators.key, numbers.start, numbers.stop]
 
-    def over(self, plants: Sequence[Plant], numbers: range) -> Figures:
-        """Figures on these actuators."""
-        names = drawn_metrics()
-        drawn = [
-            drawn_rows(self.setup, self.case, self.experiment(plant, self.actuators.seed(number)))
-            for plant, number in zip(plants, numbers, strict=True)
-        ]
+    def over(self, actuators: Sequence[tuple[Plant, int]]) -> Figures:
+        """Figures on these actuators, each with the seed of its noise."""
+        names, case = drawn_metrics(), self.case
+        drawn = [drawn_rows(self.setup, case, self.experiment(*actuator)) for actuator in actuators]
         values = [[[row.figures.get(name, np.nan) for name in names] for row in rows] for rows in drawn]
         return Figures(tuple(Row(**row.key()) for row in drawn[0]), np.array(values, dtype=np.float64))
 
 
 def _over(runs: Sequence[_Run], numbers: range) -> list[Figures]:
     """Figures of some cases on some actuators, which are made once for all of them."""
-    plants = [runs[0].actuators.plant(number) for number in numbers]
-    return [run.over(plants, numbers) for run in runs]
+    actuators = [runs[0].actuators.numbered(number) for number in numbers]
+    return [run.over(actuators) for run in runs]
 
 
 def _known(kept: CaseCache, runs: Sequence[_Run], numbers: range) -> list[Figures | None]:
@@ -164,29 +145,10 @@ NO_PART = {"draws", "sensitivity"}
 """Keys of an uncertainty that change no draw."""
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnActuators(Actuators):
-    """Draws of an uncertain actuator; each has another noise."""
-
-    what = "drawing actuators"
-
-    @property
-    def key(self) -> str:
-        """How uncertain it is."""
-        return self.uncertainty.model_dump_json(exclude=NO_PART)
-
-    @property
-    def count(self) -> int:
-        """How many are drawn."""
-        return self.uncertainty.draws
-
-    def plant(self, number: int) -> Plant:
-        """Return the draw of a number."""
-        return Plant(*self.uncertainty.draw(self.nominal.model, self.nominal.instruments, number))
-
-    def seed(self, number: int) -> int:
-        """Return the seed of its noise."""
-        return self.scenario_seed + SEED_STEP * (number + 1)
+def _drawn(uncertainty: Uncertainty, nominal: Plant, seed: int, number: int) -> tuple[Plant, int]:
+    """Draw of a number of an uncertain actuator; each has another noise."""
+    drawn = Plant(*uncertainty.draw(nominal.model, nominal.instruments, number))
+    return drawn, seed + SEED_STEP * (number + 1)
 
 
 def bands_of(
@@ -194,9 +156,12 @@ def bands_of(
 ) -> tuple[Band, ...]:
     """Median and 5-95 % band of every row over the draws; nothing where the scenario has no uncertainty."""
     scenario = kept.setup.scenario
-    if scenario.uncertainty is None:
+    uncertainty = scenario.uncertainty
+    if uncertainty is None:
         return ()
-    drawn = DrawnActuators(scenario.uncertainty, kept.setup.plant, scenario.seed)
+    numbered = partial(_drawn, uncertainty, kept.setup.plant, scenario.seed)
+    key = uncertainty.model_dump_json(exclude=NO_PART)
+    drawn = Actuators("drawing actuators", key, uncertainty.draws, numbered)
     found = figures_on(drawn, kept, cases, jobs, progress)
     return tuple(band for figures in found for band in _bands(figures))
 
@@ -224,39 +189,27 @@ def evaluations(samples: int, parameters: int) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class _Exchanged(Actuators):
+class _Exchanged:
     """Actuators of one matrix of normal numbers (sample, number), of another, and of both mixed.
 
     All actuators meet the same noise, so that the parameters are the only cause.
     """
 
+    uncertainty: Uncertainty
+    nominal: Plant
+    seed: int
     parts: tuple[slice, ...]
     one: Array
     other: Array
-    what = "finding sensitivities"
 
-    @property
-    def key(self) -> list[Any]:
-        """How uncertain the actuator is, and how many samples there are."""
-        return [self.uncertainty.model_dump_json(exclude=NO_PART), len(self.one)]
-
-    @property
-    def count(self) -> int:
-        """All blocks of samples."""
-        return evaluations(len(self.one), len(self.parts))
-
-    def plant(self, number: int) -> Plant:
+    def __call__(self, number: int) -> tuple[Plant, int]:
         """Give the actuator of a number: of a row of one matrix, or with the numbers of a group exchanged."""
         block, at = divmod(number, len(self.one))
         normal = (self.other if block == 1 else self.one)[at]
         if block >= 2:  # the first matrix, with the columns of one group from the other
             normal = normal.copy()
             normal[self.parts[block - 2]] = self.other[at, self.parts[block - 2]]
-        return Plant(*self.uncertainty.of(self.nominal.model, self.nominal.instruments, normal))
-
-    def seed(self, number: int) -> int:
-        """Return the seed of its noise, the same for all."""
-        return self.scenario_seed
+        return Plant(*self.uncertainty.of(self.nominal.model, self.nominal.instruments, normal)), self.seed
 
 
 def sensitivities_of(
@@ -280,10 +233,10 @@ def sensitivities_of(
     groups = _groups(uncertainty, nominal.model)
     base = _base(uncertainty, sum(p.size for p in uncertainty.parameters(nominal.model)))
     parts = tuple(part for _, part in groups)
-    actuators = _Exchanged(uncertainty, nominal, scenario.seed, parts, *base)
-    found = figures_on(actuators, kept, cases, jobs, progress)
-    names = [parameter.name for parameter, _ in groups]
-    samples = uncertainty.sensitivity
+    names, samples = [parameter.name for parameter, _ in groups], uncertainty.sensitivity
+    key, count = [uncertainty.model_dump_json(exclude=NO_PART), samples], evaluations(samples, len(parts))
+    exchanged = _Exchanged(uncertainty, nominal, scenario.seed, parts, *base)
+    found = figures_on(Actuators("finding sensitivities", key, count, exchanged), kept, cases, jobs, progress)
     return tuple(one for figures in found for one in _indices(figures, names, samples, uncertainty.seed))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
+from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.compensators.exact import inverse_kernel as exact_kernel, piece_kernels as pieces
 from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
 from hammerstein.compensators.exact.other_kinds import (
@@ -20,7 +21,6 @@ from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativ
 from hammerstein.compensators.kernels import STILL_V
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
-from hammerstein.compensators.simple_laws import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.errors import InputError
 from hammerstein.export.c_blocks import (
     CPart,

@@ -33,9 +33,8 @@ from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.static_candidates import build_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Progress, Task
 from hammerstein.model import HammersteinModel
-from hammerstein.records.excitation import FEWEST_AT_REST, dead_start
 from hammerstein.records.gains import refuse_swapped
-from hammerstein.records.record import Record
+from hammerstein.records.record import FEWEST_AT_REST, Record, dead_start
 from hammerstein.runtime.resources import one_blas_thread
 
 P = ParamSpec("P")

@@ -21,8 +21,7 @@ from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import coefficients, pooled
 from hammerstein.identification.static.regressors import InitialState, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import half_swing, path_filters
-from hammerstein.records.excitation import driven_inputs
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import find_cycles
 
 COUNTS = (1, 2, 3, 4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.records.excitation import driven_inputs
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import turning_points
 
 TWO_RATES = 1.5

@@ -15,8 +15,7 @@ import numpy as np
 
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.records.excitation import FEWEST_AT_REST, dead_start, driven_inputs
-from hammerstein.records.record import Record
+from hammerstein.records.record import FEWEST_AT_REST, Record, dead_start, driven_inputs
 
 AT_AN_END = 0.01
 """Part of its range within which a voltage begins at an end of it."""

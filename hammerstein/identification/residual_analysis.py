@@ -16,9 +16,8 @@ from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
-from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import noise_rms, turning_points
 
 FAR = 3.0

@@ -9,9 +9,8 @@ from hammerstein.identification.linear.axis_fit import SURE_CREEP, UNSURE_LAG_PE
 from hammerstein.identification.model_selection import IMPROVED, NO_BETTER, lowers
 from hammerstein.identification.score import Score
 from hammerstein.identification.static.static_block import StaticFit
-from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import pair_loops
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 
 ALIKE = 0.05
 """Part by which the amplitudes of two loops may differ for their widths to be compared."""

@@ -14,9 +14,8 @@ import numpy as np
 
 from hammerstein.arrays import Array, Indices
 from hammerstein.records.checks import runs
-from hammerstein.records.excitation import driven_inputs, run_in
 from hammerstein.records.outliers import FITTED, Products, regressors
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs, run_in
 from hammerstein.records.turning_points import noise_rms
 from hammerstein.signals.units import spoken
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from hammerstein.arrays import Array, Complex
 from hammerstein.errors import InputError, Mistake
-from hammerstein.records.excitation import driven_inputs
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import turning_points
 from hammerstein.signals.text_tables import where
 

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.records.excitation import driven_alone, driven_inputs
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_alone, driven_inputs
 from hammerstein.records.turning_points import Excursion, find_cycles, noise_rms, quantum
 
 SMOOTHED = 10

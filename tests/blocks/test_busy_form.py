@@ -7,9 +7,9 @@ import pytest
 import theory
 
 from hammerstein.blocks.instruments import Instruments, Sensor
+from hammerstein.compensators.base import DecoupledInverseLaw
 from hammerstein.compensators.feedback.loop import Gains
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
-from hammerstein.compensators.simple_laws import DecoupledInverseLaw
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.hysteresis.busy_kernels import BUSY, LOOK, TURN, WINDOW

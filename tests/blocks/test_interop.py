@@ -7,11 +7,11 @@ import pytest
 import hammerstein
 from hammerstein.blocks.block_system import Packing
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
+from hammerstein.compensators.base import NoCompensationLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.feedback.pid import FeedbackController, FeedbackStream
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
-from hammerstein.compensators.simple_laws import NoCompensationLaw
 from hammerstein.errors import InputError
 from hammerstein.experiment.set_up import set_up
 from hammerstein.model import HammersteinModel

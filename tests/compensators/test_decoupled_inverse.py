@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hammerstein.compensators.simple_laws import DecoupledInverseLaw, inverse_pair
+from hammerstein.compensators.base import DecoupledInverseLaw, inverse_pair
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel

@@ -14,11 +14,11 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.commands.cli import main
+from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.compensators.reach import reach
-from hammerstein.compensators.simple_laws import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

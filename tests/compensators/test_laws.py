@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from export_cases import CASES, case
 
+from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
-from hammerstein.compensators.simple_laws import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii

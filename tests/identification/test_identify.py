@@ -19,9 +19,8 @@ from hammerstein.identification.static.initial_state import cautious_start, clos
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.verdict import UNTOLD, verdict
 from hammerstein.model import HammersteinModel
-from hammerstein.records.excitation import run_in
 from hammerstein.records.reading import read_records
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, run_in
 from hammerstein.reporting.figures.identified import identified_figures, spectrum
 from hammerstein.reporting.figures.write import svg_of
 from hammerstein.reporting.fit_page import fit_json, fit_page

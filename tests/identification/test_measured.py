@@ -12,11 +12,10 @@ from record_cases import message, plain
 from hammerstein.dynamics import StateSpaceDynamics
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
-from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.gains import leads
 from hammerstein.records.readers import read_columns
 from hammerstein.records.reading import read_paired_records, read_records
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 DBO = DATA / "dbo_piezo_micromanipulator"

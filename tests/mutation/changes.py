@@ -18,7 +18,7 @@ NUMERICAL = (
     "hammerstein/records/loops.py",
     "hammerstein/records/turning_points.py",
     "hammerstein/records/outliers.py",
-    "hammerstein/records/excitation.py",
+    "hammerstein/records/record.py",
     "hammerstein/records/gains.py",
     "hammerstein/records/outliers.py",
     "hammerstein/records/turning_points.py",

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from record_cases import N, U, X, message
 
-from hammerstein.records.excitation import dead_start, moves_while_held
 from hammerstein.records.gains import lag_rad, leads, refuse_swapped
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, dead_start, moves_while_held
 
 
 class TestDriven:

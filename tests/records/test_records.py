@@ -11,10 +11,9 @@ from record_cases import N, U, X, message, plays
 
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
-from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import loop_table
 from hammerstein.records.reading import read_paired_records, read_records
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 
 
 class TestRecord:

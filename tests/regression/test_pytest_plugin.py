@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hammerstein.regression.check import check_files
+from hammerstein.regression.result import check_files
 
 pytest_plugins = ["pytester"]
 

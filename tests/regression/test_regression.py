@@ -17,7 +17,6 @@ from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.run import run
 from hammerstein.metrics import METRICS, Row
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
-from hammerstein.regression.check import check_files
 from hammerstein.regression.compare import (
     Baseline,
     Finding,
@@ -28,7 +27,7 @@ from hammerstein.regression.compare import (
     numbers_of,
     tolerance_of,
 )
-from hammerstein.regression.result import CheckResult, ScenarioCheck
+from hammerstein.regression.result import CheckResult, ScenarioCheck, check_files
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.scenario import Tolerance
 

@@ -71,7 +71,7 @@ def test_a_signal_in_parts_gives_the_same_bits(monkeypatch):
     """Between the parts Ctrl-C is answered; nobody may see them in the numbers."""
     model, path = hammerstein.HammersteinModel.load("duo_bimorph"), _wave(5000)
     whole = _all_numbers(model, path)
-    monkeypatch.setattr("hammerstein.compiled.SPAN", 32 * 700)
+    monkeypatch.setattr("hammerstein.arrays.SPAN", 32 * 700)
     assert list(spans(1500)) == [(0, 700), (700, 1400), (1400, 1500)]
     assert list(spans(400, 64 * 700)) == [(k, k + 1) for k in range(400)]
     parts = _all_numbers(model, path)
@@ -80,7 +80,7 @@ def test_a_signal_in_parts_gives_the_same_bits(monkeypatch):
 
 
 def test_a_voltage_that_is_not_finite_is_found_in_a_later_part(monkeypatch):
-    monkeypatch.setattr("hammerstein.compiled.SPAN", 32 * 700)
+    monkeypatch.setattr("hammerstein.arrays.SPAN", 32 * 700)
     path = _wave(5000)
     path[1, 3456] = np.nan
     with pytest.raises(hammerstein.SimulationError, match="input 2 is not finite at sample 3456"):

@@ -13,8 +13,7 @@ from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.options import InitialStateMode
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.records.excitation import driven_inputs, moves_while_held, run_in
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs, moves_while_held, run_in
 
 CLOSED_V = 0.01  # part of the range of the voltage
 CLOSED_UM = 0.02

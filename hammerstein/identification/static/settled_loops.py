@@ -10,8 +10,7 @@ from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.static.closed_form import closed_form
-from hammerstein.records.excitation import driven_inputs
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import Excursion, find_cycles
 
 SAME_AMPLITUDE = 0.02

@@ -16,9 +16,8 @@ from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import SAME_SWING, widest_cycle
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.style import (
     MOST_POINTS,

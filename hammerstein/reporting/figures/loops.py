@@ -13,9 +13,8 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import Report, Trace, significant
 from hammerstein.metrics.arrays import settled_cycle
-from hammerstein.records.excitation import driven_inputs
 from hammerstein.records.loops import Loop, move_at_once, telling_loops, widest_cycle
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.reporting.figures.style import (
     MOST_POINTS,
     PALE,
