@@ -103,19 +103,7 @@ def compensate(
                 period, taught = cycle_of(*asked, terms, onlooker), None
             else:
                 period, taught = _learnt(asked, learn, uncertainty or "0.05,0.01", terms, onlooker, before)
-            said, errors, text = wanted.form(period)
-            write_output(out, text, wanted.owner(), overwrite)
-            write_output(run_up, period.run_up_csv(), DRIVE, overwrite)
-            figures: dict[str, Any] = {}
-            if taught is not None:
-                said = [taught.statement(), *said]
-                figures = {name: getattr(taught, name) for name in ("finished", "error_rms_um", "noise_um")}
-            figures["rms_um"] = errors
-            if as_json:
-                tell_json({"drive": str(out), "run_up": str(run_up), **figures, "statements": said})
-                return
-            tell_statements(said)
-            tell(f"run-up in {run_up}, {'one' if taught is None else 'next'} period in {out}")
+            _write_period((out, run_up), period, taught, wanted, overwrite, as_json)
             return
         found = compensated(*asked, terms, onlooker)
         write_output(out, found.to_csv(onlooker.tell), wanted.owner(), overwrite)
@@ -306,6 +294,30 @@ class TableRequest(NamedTuple):
             return found.statements(), [rms(found.error_um)], found.to_csv()
         table = wave_table(found, self.device, self.factors(), self.points)
         return table.statements(), list(table.errors_um), table.text()
+
+
+def _write_period(
+    files: tuple[Path, Path],
+    period: Cycle,
+    taught: IlcUpdate | None,
+    wanted: TableRequest,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Write a period of a path and its run-up, and say what was learnt from the trial, if there was one."""
+    from hammerstein.compensators.drive_file import DRIVE
+
+    (out, run_up), (said, errors, text) = files, wanted.form(period)
+    write_output(out, text, wanted.owner(), overwrite)
+    write_output(run_up, period.run_up_csv(), DRIVE, overwrite)
+    learnt = () if taught is None else ("finished", "error_rms_um", "noise_um")
+    figures = {**{name: getattr(taught, name) for name in learnt}, "rms_um": errors}
+    said = said if taught is None else [taught.statement(), *said]
+    if as_json:
+        tell_json({"drive": str(out), "run_up": str(run_up), **figures, "statements": said})
+        return
+    tell_statements(said)
+    tell(f"run-up in {run_up}, {'one' if taught is None else 'next'} period in {out}")
 
 
 def _learnt(
