@@ -7,10 +7,10 @@ import platform
 import sys
 import tempfile
 import traceback
+from importlib import metadata
 from pathlib import Path
 
 from hammerstein.errors import HammersteinError, InputError, InternalError, SimulationError
-from hammerstein.runtime.store import version_of
 
 DISTRIBUTION = "hammerstein-control"
 LIBRARIES = ("control", "numba", "numpy", "pandas", "pydantic", "scipy", "typer")
@@ -47,3 +47,11 @@ def _write_details(error: Exception) -> Path | None:
     except OSError:
         return None
     return path
+
+
+def version_of(name: str) -> str:
+    """Version of an installed package, or ``?``."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "?"

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from hammerstein.errors import InputError, Notice
 from hammerstein.files import UNFINISHED, digest_of, reason_of, write_atomic
 from hammerstein.plugins import kinds_of_others
+from hammerstein.runtime.faults import version_of
 from hammerstein.runtime.resources import folder_of_runs
 
 PACKAGE = Path(__file__).parents[1]
@@ -96,14 +97,6 @@ def sources() -> str:
         digest.update(f"\n{path.relative_to(PACKAGE)}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-def version_of(name: str) -> str:
-    """Version of an installed package, or ``?``."""
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "?"
 
 
 @cache
