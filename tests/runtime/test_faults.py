@@ -50,6 +50,9 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+ENDED = "interrupted; finished results are saved, and nothing is half-written"
+
+
 class Run:
     """The command line in a process of its own, and everything that it starts."""
 
@@ -118,7 +121,7 @@ def test_nothing_stays_behind_when_the_parent_is_ended(folder, started, number):
     assert_gone(family)
     if number != signal.SIGKILL:
         assert code == 130
-        assert error == "interrupted; finished results are saved, and nothing is half-written\n"
+        assert error.splitlines()[-1] == ENDED
     assert json.loads((folder / "r/a/report.json").read_text())["name"] == "a"
     assert not [p for p in (folder / "r").rglob(".*") if p.name != ".hammerstein.json"]
 
@@ -128,7 +131,8 @@ def test_sigterm_ends_a_single_scenario_like_ctrl_c(folder, started):
     time.sleep(3.0)
     os.kill(run.process.pid, signal.SIGTERM)
     code, _, error = run.end(10)
-    assert (code, error) == (130, "interrupted; finished results are saved, and nothing is half-written\n")
+    assert code == 130
+    assert error.splitlines()[-1] == ENDED  # a busy machine may have said before how long the run takes
 
 
 def test_what_nohup_ignores_stays_ignored(folder, started):
