@@ -211,8 +211,17 @@ def interval(seconds: float) -> str:
     >>> interval(5e-5), interval(0.00325), interval(1.5)
     ('50 us', '3.25 ms', '1.5 s')
     """
-    factor, unit = ((1.0, "s"), (1e3, "ms"), (1e6, "us"))[(seconds < 1.0) + (seconds < 1e-3)]
+    factor, unit = ((1.0, "s"), (1e3, "ms"), (1e6, "us"))[int(seconds < 1.0) + int(seconds < 1e-3)]
     return f"{factor * seconds:.4g} {unit}"
+
+
+def sampling(sample_time_s: float | None) -> str:
+    """Grid of a block in words: none has a sample time of 0, which is continuous.
+
+    >>> sampling(5e-5), sampling(None)
+    ('with a sample time of 50 us', 'continuous')
+    """
+    return f"with a sample time of {interval(sample_time_s)}" if sample_time_s else "continuous"
 
 
 def size(number: float) -> str:

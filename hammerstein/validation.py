@@ -154,7 +154,8 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
     for finding in error.errors():
         if finding["type"] == "too_short" and finding["input"]:
             continue  # too short without the entries that are wrong themselves
-        place = schema.place(_without_mark(finding["loc"]))
+        marked = finding["loc"][-1:] == ("[key]",)  # pydantic marks that the key is wrong and not its value
+        place = schema.place(finding["loc"][: -1 if marked else None])
         found.setdefault(_where(dict(finding), place), []).append({**finding, "place": place})
     mistakes = [_mistake(where, findings, schema) for where, findings in found.items()]
     meant = {"".join((*m.where.rpartition(".")[:2], m.what.rpartition(" ")[2])) for m in mistakes}
@@ -189,11 +190,6 @@ def suggestion(name: str, names: Iterable[str]) -> str:
     """Return "; did you mean ...?" with the nearest known name, or nothing."""
     near = difflib.get_close_matches(name, list(names), n=1, cutoff=0.6)
     return f"; did you mean {near[0]}?" if near else ""
-
-
-def _without_mark(location: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """Location of the key itself, where pydantic marks that the key is wrong and not its value."""
-    return location[:-1] if location and location[-1] == "[key]" else location
 
 
 def _where(finding: dict[str, Any], place: Place) -> str:
@@ -261,7 +257,8 @@ def _unknown_key(name: str, place: Place, schema: Schema) -> str:
     near = suggestion(name, place.names)
     table = place.path.rpartition(".")[0]
     owners = schema.owners(name)
-    kinds = [owner.tag for owner in owners if owner.path == _plain(table) and owner.tag]
+    plain = re.sub(r"\[\d+\]", "", table)  # without the numbers of list entries
+    kinds = [owner.tag for owner in owners if owner.path == plain and owner.tag]
     if kinds and place.tag:
         return f"unknown key of {place.tag}{near}" + f"; it belongs to {_listed(kinds)}" * (not near)
     if near:
@@ -283,11 +280,6 @@ def _nearest_elsewhere(name: str, schema: Schema) -> str:
 def _listed(words: Sequence[str]) -> str:
     more = ", ..." if len(words) > MOST_OWNERS else ""
     return " or ".join(words[:MOST_OWNERS]) + more
-
-
-def _plain(path: str) -> str:
-    """Key path without the numbers of list entries."""
-    return re.sub(r"\[\d+\]", "", path)
 
 
 def _shown(value: Any) -> str:

@@ -22,7 +22,7 @@ def converted(value, low, high, step):  # type: ignore[no-untyped-def]
 
 @compiled()
 def convert(asked, steps, ends, step, drive, cut):  # type: ignore[no-untyped-def]
-    """Output voltages of the converter, and samples that the range cut.
+    """Output voltages of the converter, and samples that the range clipped.
 
     asked : (m, N) [V]; steps : (2, m) lowest and highest step; ends : (2, m) limits of the range [V]
     step : of the converter [V]; drive : (m, N), overwritten; cut : (m, N), overwritten

@@ -102,7 +102,7 @@ class Drive(Strict):
         return np.asarray(inside * self.resolution_v)
 
     def apply(self, u_v: Array, out: Array | None = None) -> tuple[Array, Flags]:
-        """Output voltages of the converter (input, sample), and samples at which the range cut them.
+        """Output voltages of the converter (input, sample), and samples at which the range clipped them.
 
         A voltage up to the range, as of a sine, is not cut.
 
@@ -119,7 +119,7 @@ class Drive(Strict):
 
 @lru_cache(maxsize=64)
 def _ends(drive: Drive, inputs: int) -> tuple[Array, Array]:
-    """Steps, and voltages beyond which the range cuts one (2, input) [V]; of a drive they stay the same."""
+    """Steps, and voltages beyond which the range clips one (2, input) [V]; of a drive they stay the same."""
     limits = drive.limits(inputs)
     return drive.steps(inputs), limits + np.array([[-1.0], [1.0]]) * slack_v(limits)
 
@@ -161,7 +161,7 @@ class Sensor(Strict):
             digitise(here, self.noise_um, self.range_um, self.resolution_um, begin, um)
 
     def clipped(self, reading_um: Array) -> int:
-        """Samples of the readings (output, sample) at which the range cut one of them, or may have."""
+        """Samples of the readings (output, sample) at which the range clipped one of them, or may have."""
         if math.isinf(self.range_um):
             return 0
         step = self.resolution_um

@@ -135,7 +135,7 @@ class HysteresisNonlinearity(control.DescribingFunctionNonlinearity):  # type: i
 class LimitCycle:
     """Limit cycle that the describing function predicts.
 
-    amplitude_v : amplitude of the voltage before the range cuts it [V]
+    amplitude_v : amplitude of the voltage before the range clips it [V]
     frequency_hz : its frequency [Hz]
     stable : whether nearby motions return to it
     angle_deg : angle between the curves -1/N(A) and H at their crossing in the complex plane; do not

@@ -15,6 +15,7 @@ from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, 
 from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
+from hammerstein.quantities import interval
 from hammerstein.runtime.manifest import Owner
 from hammerstein.signals.signal_files import chosen, read_signal
 
@@ -87,7 +88,7 @@ def played(
         raise InputError(
             str(drive_path),
             f"its times are not evenly spaced: row {int(np.argmax(uneven)) + 2} comes after "
-            f"{np.diff(time_s)[np.argmax(uneven)]:.6g} s, the others after {sample_time_s:.6g} s; "
+            f"{interval(np.diff(time_s)[np.argmax(uneven)])}, the others after {interval(sample_time_s)}; "
             "resample it",
         )
     work = PathWork(len(time_s), sample_time_s, DRIVE_COST)

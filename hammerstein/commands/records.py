@@ -158,8 +158,8 @@ def identify(
     in_loop.refuse_unused([*words_of(identified), *words_of(static)])
     folder = report or out.parent / f"{out.stem}_fit"
     prepare_folder("--report", folder, FIT, ALWAYS, overwrite)
-    groups = (recorded, identified, static, in_loop)
-    words = [*(word for group in groups for word in words_of(group)), "--out", str(out)]
+    groups = (recorded, held, identified, static, in_loop)
+    words = [word for group in groups for word in words_of(group)]
     asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)

@@ -113,7 +113,8 @@ def guide(
 
     pages = guide_pages()
     if topic is None:
-        titles = [(name, _title(page)) for name, page in pages.items()]
+        texts = {name: page.read_text(encoding="utf-8") for name, page in pages.items()}
+        titles = [(name, text.partition("\n")[0].removeprefix("# ")) for name, text in texts.items()]
         show_table(facts_table("hammerstein guide TOPIC", titles))
         return
     if topic not in pages:
@@ -132,7 +133,3 @@ def guide_pages() -> dict[str, Path]:
     """Pages of the guide by name, those that a person begins with first."""
     found = {path.stem: path for path in sorted(GUIDE.glob("*.md"))}
     return {name: found[name] for name in dict.fromkeys([*FIRST, *found]) if name in found}
-
-
-def _title(page: Path) -> str:
-    return page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")

@@ -212,6 +212,7 @@ def _entry(
 ) -> Compared:
     """All results of one model."""
     ready, held = records
+    missed = record_flags(one.candidate, [*ready, *held], [*one.starts, *one.held_starts])
     return Compared(
         name=one.name,
         hysteresis=one.hysteresis,
@@ -228,14 +229,9 @@ def _entry(
         has_inverse=inverse.exact,
         inverse=inverse.words,
         left=left_by(one, inverse, best, held or ready),
-        flags=tuple(dict.fromkeys([*one.flags, *_missed(one, ready, held)])),
+        flags=tuple(dict.fromkeys([*one.flags, *missed])),
         model=one.model,
     )
-
-
-def _missed(one: Fitted, ready: Sequence[Record], held: Sequence[Record]) -> list[str]:
-    """Fitted or validation records that a model misses."""
-    return record_flags(one.candidate, [*ready, *held], [*one.starts, *one.held_starts])
 
 
 def ns_a_sample(model: HammersteinModel, record: Record) -> float:

@@ -88,11 +88,12 @@ class Cycle:
         settled, first = (_worst(self, position) for position in (self.played_um, self.first_um))
         step, jump = self.largest_steps_v()
         seconds = self.run_up_v.shape[1] * self.sample_time_s
+        start = ", ".join(f"{value:g}" for value in self.limits.start_v)
         said = [
             f"Model {self.source} ({self.model.origin}). One settled period of {self.period_s:.6g} s "
             "to repeat: after the last row, the first row follows.",
             *verdict_statements(self.model),
-            f"Run-up of {seconds:.6g} s from {_volts(self.limits.start_v)} to the period; send it "
+            f"Run-up of {seconds:.6g} s from {start} V to the period; send it "
             f"once. Largest step {step:.3g} V; without the run-up the first step is {jump:.3g} V.",
             f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
             f"first period after the run-up, with ringing, {first}. The settled position repeats "
@@ -125,10 +126,6 @@ def _worst(cycle: Cycle, position_um: Array) -> str:
         f"{name} {length(rms(row))} um rms, {length(np.abs(row).max())} um at most"
         for name, row in zip(cycle.model.outputs, position_um - cycle.reference_um, strict=True)
     )
-
-
-def _volts(values: Array) -> str:
-    return f"{', '.join(f'{value:g}' for value in values)} V"
 
 
 def run_up(drive_v: Array, start_v: Array, sample_time_s: float) -> Array:

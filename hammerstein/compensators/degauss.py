@@ -12,6 +12,7 @@ from hammerstein.compensators.drive_file import Terms, allowed_range
 from hammerstein.compensators.path_file import DRIVE_COST, PathWork, drive_csv
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import interval
 from hammerstein.signals import Degauss, smooth_step
 
 MIN_POINTS = 20
@@ -91,8 +92,8 @@ def degauss_drive(
     if not np.isfinite(limits.span_v).all():
         raise InputError("--range", "has no ends for the alternation; give LOW,HIGH")
     step = model.instruments.drive.sample_time_s
-    if frequency_hz * step > 1.0 / MIN_POINTS:
-        raise InputError("--frequency", f"must be at most {1.0 / (MIN_POINTS * step):g} Hz on {step:g} s")
+    if frequency_hz > (most := 1.0 / (MIN_POINTS * step)):
+        raise InputError("--frequency", f"must be at most {most:g} Hz on {interval(step)}")
     signal = Degauss(amplitude=1.0, frequency_hz=frequency_hz, cycles=cycles, axis="all")
     samples = int(np.ceil((signal.period_s + LEAD_S) / step)) + 1
     PathWork(samples, step, DRIVE_COST).refuse_too_large("degauss")

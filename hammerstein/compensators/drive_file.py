@@ -179,8 +179,8 @@ class Compensation:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
             return f"{text}driven to {top}, then to {low}, then directly to the start."
         if (limits.start_v == limits.working_point_v).all():
-            return f"{text}at rest, without history."
-        return f"{text}at rest at {rest} before, then directly to the start."
+            return f"{text}at rest, without history.{self.prediction.begun}"
+        return f"{text}at rest at {rest} before, then directly to the start.{self.prediction.begun}"
 
     def to_csv(self, tell: Tell | None = None) -> str:
         """Text of the drive file: time, voltages to send, reference, predicted position.

@@ -21,7 +21,7 @@ from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearis
 from hammerstein.errors import InputError, naming
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import Deviation, Frequency, Trial, column
+from hammerstein.quantities import Deviation, Frequency, Trial, column, interval
 from hammerstein.signals.signal_files import read_signal
 
 DEVIATIONS = 2.0  # standard deviations that are counted on
@@ -354,7 +354,7 @@ def _taught(
     _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST, units=units)
     if resampled:
         raise InputError(
-            str(trial[1]), f"is not sampled every {time_s:g} s like the drive; record it at this sample time"
+            str(trial[1]), f"is not sampled every {interval(time_s)} like the drive; record it like that"
         )
     bandwidth = design.model.instruments.sensor.bandwidth_hz
     with naming(str(trial[1]), instead_of=MEASURED):

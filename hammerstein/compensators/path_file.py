@@ -14,7 +14,7 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.escaping import clean
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import column, duration, size
+from hammerstein.quantities import column, duration, interval, size
 from hammerstein.runtime.resources import free_bytes
 from hammerstein.signals.signal_files import chosen, read_signal
 from hammerstein.signals.units import displacement_factor, unit_in
@@ -113,8 +113,8 @@ class PathWork:
     def statement(self) -> str:
         """Say samples, memory and time."""
         return (
-            f"{self.samples:,} samples of {self.sample_time_s:g} s: about {size(self.bytes)} of memory and "
-            f"{duration(self.seconds)}"
+            f"{self.samples:,} samples of {interval(self.sample_time_s)}: about {size(self.bytes)} of memory "
+            f"and {duration(self.seconds)}"
         )
 
     def refuse_too_large(self, path: Path | str) -> None:
@@ -122,7 +122,7 @@ class PathWork:
         free = free_bytes()
         if self.bytes > free:
             raise SimulationError(
-                f"{path}: {self.samples:,} samples of {self.sample_time_s:g} s need about "
+                f"{path}: {self.samples:,} samples of {interval(self.sample_time_s)} need about "
                 f"{size(self.bytes)} of memory, but {size(free)} are free. Cut the path into parts. "
                 "If its times are not in s, name their unit in the header, such as t [ms]."
             )
@@ -171,7 +171,7 @@ def read_path(
     values = in_um(path, [names[i] for i in columns], values[columns], model, units)
     samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + 1
     if samples < 2:
-        raise InputError(str(path), f"is shorter than two samples of {sample_time_s:g} s")
+        raise InputError(str(path), f"is shorter than two samples of {interval(sample_time_s)}")
     work = PathWork(samples, sample_time_s, cost)
     work.refuse_too_large(path)
     onlooker.begin(work)
@@ -188,13 +188,13 @@ def _resampled(times: Array, sample_time_s: float) -> str:
     gaps = np.flatnonzero(steps > GAP * typical)
     if not 0 < gaps.size <= GAPS * steps.size:
         return (
-            f"The path was interpolated linearly from steps of {typical:.4g} s to the sample time of the "
-            f"drive, {sample_time_s:.4g} s. If this makes corners, smooth them with --filter-hz."
+            f"The path was interpolated linearly from steps of {interval(typical)} to the sample time of the "
+            f"drive, {interval(sample_time_s)}. If this makes corners, smooth them with --filter-hz."
         )
     worst, many = int(np.argmax(steps)), "a gap" if gaps.size == 1 else f"{gaps.size} gaps, the longest"
     return (
-        f"The path has {many} of {steps[worst]:.4g} s after {times[worst]:.6g} s, where its steps are "
-        f"{typical:.4g} s. The drive follows a straight line across it: check that no rows are missing."
+        f"The path has {many} of {interval(steps[worst])} after {times[worst]:.6g} s, where its steps are "
+        f"{interval(typical)}. The drive follows a straight line across it: check that no rows are missing."
     )
 
 

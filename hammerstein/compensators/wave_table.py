@@ -22,7 +22,7 @@ from hammerstein.compensators.cycle import Cycle, held_error, held_least
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.metrics import rms
-from hammerstein.quantities import column
+from hammerstein.quantities import column, interval
 from hammerstein.runtime.manifest import Owner
 
 WAVE_TABLE = Owner("wave table", single=True)
@@ -163,7 +163,7 @@ def _hold(cycle: Cycle, kind: Device, points: int | None) -> int:
     step = "" if kind.step_s is None else f", each a multiple of {1e6 * kind.step_s:g} us"
     raise InputError(
         "--table",
-        f"a period of {samples} samples of {time_s:g} s is not a whole number of points, at most "
+        f"a period of {samples} samples of {interval(time_s)} is not a whole number of points, at most "
         f"{most}{step}; choose a period of {most} points times a whole number of samples, or another "
         "frequency",
     )

@@ -12,7 +12,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics.feedback_block import FeedbackBlock, InputProducts, ProductsFile
 from hammerstein.dynamics.linear_block import CONTINUOUS
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Pair, PrandtlIshlinskii
-from hammerstein.quantities import Delay, Entry, Range, SampleTime
+from hammerstein.quantities import Delay, Entry, Range, SampleTime, sampling
 from hammerstein.validation import Strict
 
 Matrix = tuple[tuple[Entry, ...], ...]
@@ -64,8 +64,7 @@ class MatrixForm(Strict):
 
     def grid_words(self) -> str:
         """Say whether it has a sample time of its own."""
-        step = self.sample_time_s
-        return "continuous" if step is None else f"with a sample time of {step:g} s"
+        return sampling(self.sample_time_s)
 
 
 class FeedbackHysteresisDynamics(MatrixForm):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of, spans
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError
+from hammerstein.quantities import interval, sampling
 
 if TYPE_CHECKING:
     import control
@@ -76,8 +77,8 @@ class SteppedBlock(ABC):
         if sample_time_s is not None and not math.isclose(sample_time_s, self.sample_time_s, rel_tol=1e-9):
             raise InputError(
                 "signal",
-                f"its sample time is {sample_time_s:g} s, but the block was discretised for "
-                f"{self.sample_time_s:g} s; resample one of them",
+                f"its sample time is {interval(sample_time_s)}, but the block was discretised for "
+                f"{interval(self.sample_time_s)}; resample one of them",
             )
         v = rows_of(v_um)
         if v.shape[0] != self.n_inputs:
@@ -126,8 +127,8 @@ class LinearBlock(SteppedBlock, ByValue):
         freeze_fields(self, *"ABCD")
 
     def __repr__(self) -> str:
-        grid = f"with a sample time of {self.sample_time_s:g} s" if self.sample_time_s else "continuous"
-        return f"LinearBlock(order {len(self.A)}, {self.n_inputs} inputs, {self.n_outputs} outputs, {grid})"
+        axes = f"{self.n_inputs} inputs, {self.n_outputs} outputs"
+        return f"LinearBlock(order {len(self.A)}, {axes}, {sampling(self.sample_time_s)})"
 
     def system(self) -> control.StateSpace:
         """Return the block as a ``control.StateSpace``.
@@ -234,8 +235,8 @@ class LinearBlock(SteppedBlock, ByValue):
         if m * samples > MOST_DELAY_STATES:
             raise InputError(
                 "dynamics",
-                f"an input delay of {samples * self.sample_time_s:g} s is {samples} samples of "
-                f"{self.sample_time_s:g} s, but at most {MOST_DELAY_STATES // m} are possible: use a "
+                f"an input delay of {interval(samples * self.sample_time_s)} is {samples} samples of "
+                f"{interval(self.sample_time_s)}, but at most {MOST_DELAY_STATES // m} are possible: use a "
                 "shorter input_delay_s or a longer sample time",
             )
         shift = np.eye(m * samples, k=-m)

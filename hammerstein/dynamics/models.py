@@ -23,7 +23,7 @@ from hammerstein.dynamics.feedback_hysteresis import (
 )
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
 from hammerstein.errors import InputError
-from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Resonance, TimeConstant
+from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Resonance, TimeConstant, interval
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class Axis(Strict):
         if self.resonance_hz is not None:
             parts.append(f"{self.resonance_hz:.4g} Hz (damping {self.damping_ratio:.3g})")
         if self.lag_s is not None:
-            parts.append(f"lag of {self.lag_s:.3g} s")
+            parts.append(f"lag of {interval(self.lag_s)}")
         return " and ".join(parts) or "none"
 
     @property
@@ -401,14 +401,14 @@ def _gridded(block: B, delay_s: float, sample_time_s: float, sensor_bandwidth_hz
         if not math.isclose(block.sample_time_s, sample_time_s, rel_tol=1e-9):
             raise InputError(
                 "dynamics",
-                f"the model was identified at a sample time of {block.sample_time_s:g} s and cannot "
-                f"run at {sample_time_s:g} s; set the drive's sample_time_s to the model's",
+                f"the model was identified at a sample time of {interval(block.sample_time_s)} and cannot "
+                f"run at {interval(sample_time_s)}; set the drive's sample_time_s to the model's",
             )
         if late_s:
             raise InputError(
                 "dynamics",
-                f"the input delay of {delay_s:g} s is not a whole number of samples of {sample_time_s:g} "
-                "s, the sample time of this block; round it",
+                f"the input delay of {interval(delay_s)} is not a whole number of samples of "
+                f"{interval(sample_time_s)}, the sample time of this block; round it",
             )
         if sensor_bandwidth_hz is not None:
             sensor = low_pass(sensor_bandwidth_hz, block.n_outputs)

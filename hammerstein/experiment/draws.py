@@ -272,7 +272,7 @@ def _indices(figures: Figures, names: Sequence[str], samples: int, seed: int) ->
         (r, m)
         for r in range(blocks.shape[2])
         for m in range(blocks.shape[3])
-        if _spreads(blocks[:2, :, r, m])
+        if np.isfinite(own := blocks[:2, :, r, m]).all() and own.std() > LEAST_SPREAD * abs(own.mean())
     ]
     if not spread:
         return
@@ -296,11 +296,6 @@ def _indices(figures: Figures, names: Sequence[str], samples: int, seed: int) ->
                 total_low=low[1],
                 total_high=high[1],
             )
-
-
-def _spreads(values: Array) -> bool:
-    """Whether a figure is known everywhere and differs by more than its rounding."""
-    return bool(np.isfinite(values).all() and values.std() > LEAST_SPREAD * abs(values.mean()))
 
 
 def _saltelli(f: Array) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ from hammerstein.hysteresis import Memory
 from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response, refuse_unbounded
+from hammerstein.quantities import interval, length
 from hammerstein.signals import OneFrequency
 
 RECORDED_BLOCK = 100_000  # samples that are simulated at once where not all are recorded; they fit the cache
@@ -183,7 +184,7 @@ def _why(setup: SetUp, case: Case) -> str:
         slowest = max(mode.time_constant_s for axis in dynamics.axes for mode in axis.creep)
         return f"the actuator creeps, with time constants up to {slowest:g} s"
     if ahead_s > END_SHARE * case.signal.period_s:
-        return f"the law looks {ahead_s:.3g} s ahead, so the last cycle responds to the end of the path"
+        return f"the law looks {interval(ahead_s)} ahead, so the last cycle responds to the end of the path"
     return "the cycles keep changing"
 
 
@@ -366,7 +367,7 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     why = "is noisy" if reading < LAGGING * sensor.noise_um else f"of {sensor.bandwidth_hz:g} Hz lags"
     return [
         f"The sensor {why}: with {row.compensator!r}{row.at}, the rms error on {row.measured_axis} is "
-        f"{reading:.3g} um for its reading, but {true:.3g} um for the true position. Judge a "
+        f"{length(reading)} um for its reading, but {length(true)} um for the true position. Judge a "
         "compensator by the true position."
     ]
 
@@ -471,10 +472,10 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         if result.unsettled:
             statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
         if cut := row.saturated_samples:
-            statements.append(f"{where}: the drive's range cut {cut} sample{'s' * (cut != 1)}.")
+            statements.append(f"{where}: the drive's range clipped {cut} sample{'s' * (cut != 1)}.")
         if result.clipped:
             statements.append(
-                f"{where}: the sensor's range cut {result.clipped} samples of the reading; use a "
+                f"{where}: the sensor's range clipped {result.clipped} samples of the reading; use a "
                 "larger instruments.sensor.range_um, or look at the true position."
             )
     return tuple(statements)

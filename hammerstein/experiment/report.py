@@ -340,6 +340,15 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.{'2g' if abs(share) < 0.995 else '0f'}} %"
 
 
+def at_most(share: float) -> str:
+    """Write an upper bound in percent.
+
+    >>> at_most(0.0378), at_most(1e-16)
+    ('at most 3.8 %', 'below 0.0001 %')
+    """
+    return "below 0.0001 %" if 0.0 < share < TINY else f"at most {percent(share)}"
+
+
 def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:
     """At most so many frequencies: the ends, those marked, and others spread evenly between them.
 

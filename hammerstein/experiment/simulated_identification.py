@@ -211,9 +211,10 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
     from hammerstein.identification.identify import identify
 
     drive = _Excursion.of(plant, spec.amplitude_v)
-    bandwidth_hz = _finite(plant.instruments.sensor.bandwidth_hz)
+    hz = plant.instruments.sensor.bandwidth_hz
+    known_hz = hz if math.isfinite(hz) else None
     # The creep comes from a slow record of its own.
-    settings = replace(spec.settings(), creep_modes=0, sensor_bandwidth_hz=bandwidth_hz)
+    settings = replace(spec.settings(), creep_modes=0, sensor_bandwidth_hz=known_hz)
     name = f"joint fit, {spec.operators} operators"
     model, _ = identify(
         _records(plant, spec, drive, seeds), settings, name=name, instruments=plant.instruments
@@ -283,10 +284,6 @@ def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[in
         )
         for k, part in enumerate(parts)
     ]
-
-
-def _finite(bandwidth_hz: float) -> float | None:
-    return None if math.isinf(bandwidth_hz) else bandwidth_hz
 
 
 def _settled_loop(

@@ -83,6 +83,7 @@ class Fit(NotebookRepr):
     covariance : of all parameters of the model together
     records, held : the fitted and the validation records, without their initial rest
     alone : another kind of hysteresis than plays, without dynamics
+    other_kinds : whether the error is far above the noise, and nothing but another kind of model is untried
     """
 
     inputs: tuple[str, ...]
@@ -117,6 +118,7 @@ class Fit(NotebookRepr):
     records: tuple[Record, ...]
     held: tuple[Record, ...]
     alone: Candidate | None = None
+    other_kinds: bool = False
 
     def __repr__(self) -> str:
         errors = self.judged[self.kind].nrmse_percent

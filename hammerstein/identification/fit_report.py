@@ -27,6 +27,7 @@ from hammerstein.identification.residual_analysis import (
     residual_statements,
     shape_flags,
     turning_back_flags,
+    untried,
 )
 from hammerstein.identification.score import Candidate, Score, invertibility_of, ranges, rest_errors
 from hammerstein.identification.static.regressors import InitialState
@@ -119,6 +120,7 @@ def fit_of(
         verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, residual),
         candidates=built.candidates,
         alone=built.alone,
+        other_kinds=bool(residual) and settings.hysteresis == "prandtl_ishlinskii" and not untried(settings),
         covariance=known,
         records=task.records,
         held=held,

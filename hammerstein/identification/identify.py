@@ -293,19 +293,11 @@ def _refuse_twice(records: Sequence[Record]) -> None:
     """Refuse a record that is given twice, by whatever name: it would count double and pass for sure."""
     for i, record in enumerate(records):
         for other in records[:i]:
-            if _are_one(record, other):
-                what = (
-                    "is given twice"
-                    if record.source == other.source
-                    else f"is the same record as {other.source}"
-                )
+            alike = map(np.array_equal, (record.u_v, record.y_um), (other.u_v, other.y_um))
+            if record.sample_time_s == other.sample_time_s and all(alike):
+                named = record.source == other.source
+                what = "is given twice" if named else f"is the same record as {other.source}"
                 raise InputError(record.source, f"{what}: give every record once")
-
-
-def _are_one(record: Record, other: Record) -> bool:
-    """Whether two records hold the same samples."""
-    times = record.sample_time_s == other.sample_time_s
-    return times and all(map(np.array_equal, (record.u_v, record.y_um), (other.u_v, other.y_um)))
 
 
 def _build(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:

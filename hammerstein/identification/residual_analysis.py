@@ -136,8 +136,8 @@ def _strongest(records: Sequence[Record], left: Sequence[Array]) -> float:
     return best[1]
 
 
-def _proposal(settings: Settings) -> str:
-    """What was not tried, of what keeps itself only where it lowers the error: no promise that it does."""
+def untried(settings: Settings) -> list[str]:
+    """Options that were not tried, of those that keep a block only where it lowers the error."""
     tried = []
     if settings.dynamics in ("none", "lag"):
         tried.append("--dynamics auto")
@@ -147,7 +147,12 @@ def _proposal(settings: Settings) -> str:
         tried.append("more --operators")
     if settings.dynamics == "second_order":
         tried.append("--dynamics auto, which adds a low-pass")
-    if tried:
+    return tried
+
+
+def _proposal(settings: Settings) -> str:
+    """What to try against an error far above the noise: no promise that it helps."""
+    if tried := untried(settings):
         return f"Not tried: {'; or '.join(tried)}"
     kinds = "hammerstein compare tries every kind on these records; " if settings.hysteresis == PLAYS else ""
     return (

@@ -17,6 +17,7 @@ from hammerstein.dynamics import (
     split_delay,
 )
 from hammerstein.errors import InputError
+from hammerstein.quantities import interval
 from hammerstein.records.checks import FEWEST_SAMPLES
 from hammerstein.records.record import Record
 
@@ -64,7 +65,7 @@ class SensorModel:
         if record.samples - samples < FEWEST_SAMPLES:
             what = f"has {record.samples} samples, but the sensor delay is {samples} samples"
             raise InputError(
-                record.source, f"{what} ({self.delay_s:g} s); check this delay, or record longer"
+                record.source, f"{what} ({interval(self.delay_s)}); check this delay, or record longer"
             )
         if record.period_samples is not None and record.samples % record.period_samples == 0:
             return replace(record, y_um=np.roll(record.y_um, -samples, axis=1), verified=True)

@@ -9,6 +9,7 @@ from hammerstein.identification.linear.axis_fit import SURE_CREEP, UNSURE_LAG_PE
 from hammerstein.identification.model_selection import IMPROVED, NO_BETTER, lowers
 from hammerstein.identification.score import Score
 from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.quantities import interval
 from hammerstein.records.loops import pair_loops
 from hammerstein.records.record import Record, driven_inputs
 
@@ -121,12 +122,12 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str
             found.append(f"damping of {name}: standard error {fit.damping_error_percent:.0f} %")
         if fit.lag_error_percent is not None and fit.lag_error_percent > UNSURE_LAG_PERCENT:
             error_s = 0.01 * fit.lag_error_percent * (fit.axis.lag_s or 0.0)
-            found.append(f"lag of {name}: {fit.axis.lag_s:.3g} +- {error_s:.2g} s")
+            found.append(f"lag of {name}: {interval(fit.axis.lag_s or 0.0)} ± {interval(error_s)}")
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
                 found.append(
                     f"creep of {name} with a time constant of {mode.time_constant_s:.3g} s: gain "
-                    f"{mode.gain:.2g} +- {error:.2g}; use a record several times longer"
+                    f"{mode.gain:.2g} ± {error:.2g}; use a record several times longer"
                 )
         found += _unsure_creep(name, fit)
     return found
@@ -138,7 +139,7 @@ def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     if larger is None or not lowers(larger.rms_um, fit.rms_um, IMPROVED):
         return
     mode, error = larger.axis.creep[-1], larger.creep_gain_errors[-1]
-    size = f"{mode.gain:.2g} +- {error:.2g}"
+    size = f"{mode.gain:.2g} ± {error:.2g}"
     told = abs(mode.gain) >= SURE_CREEP * error
     why = f"no record is long enough ({size})" if told else f"its gain is uncertain ({size})"
     yield (

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
+from hammerstein.quantities import interval
 
 
 def settled_cycle(
@@ -50,7 +51,7 @@ def settled_cycle(
     whole = int(np.floor(values.shape[1] * cycles_a_sample + 1e-9))
     if whole <= skip_cycles or not 0.0 < cycles_a_sample <= 0.5:
         raise IdentificationError(
-            f"a record of {values.shape[1]} samples of {sample_time_s:g} s holds {whole} whole cycles "
+            f"a record of {values.shape[1]} samples of {interval(sample_time_s)} holds {whole} whole cycles "
             f"at {frequency_hz:g} Hz; at least {skip_cycles + 1} cycles of two samples or more are "
             "needed"
         )

@@ -70,7 +70,7 @@ class Measured:
     """Signals of one case over the measured samples, and their targets.
 
     reading_um, position_um : (output, sample) reading of the sensor, and true position [um]
-    saturated : (input, sample) whether the drive's range cut the voltage
+    saturated : (input, sample) whether the drive's range clipped the voltage
     target_reading_um, target_position_um : (output, sample) target of reading and position: a reference, or
         the prediction of a model [um]; None without one
     reference_um : (output, sample) path [um], if all axes are driven together
@@ -131,7 +131,7 @@ class Measured:
 
     @cached_property
     def unsaturated(self) -> NDArray[np.bool_]:
-        """Samples (sample,) at which no voltage is cut, nor was within the last ``RECOVERY_S``."""
+        """Samples (sample,) at which no voltage is clipped, nor was within the last ``RECOVERY_S``."""
         if not self.saturated.any():
             return np.ones(self.saturated.shape[1], dtype=np.bool_)
         cut = np.asarray(self.saturated.any(axis=0), dtype=np.float64)
@@ -264,7 +264,7 @@ def euclidean_max_true_um(m: Measured) -> Values:
 
 
 @metric(
-    "largest distance between true position and reference, without the samples whose voltage is cut "
+    "largest distance between true position and reference, without the samples whose voltage is clipped "
     "and the 10 ms after each [um]"
 )
 def euclidean_max_unsaturated_um(m: Measured) -> Values:
@@ -327,7 +327,7 @@ def phase_deg(m: Measured) -> Values:
     return _loops(m, lambda loop: loop.phase_deg)
 
 
-@metric("number of samples in which the drive's range cut the voltage", exact=True)
+@metric("number of samples in which the drive's range clipped the voltage", exact=True)
 def saturated_samples(m: Measured) -> Values:
     return int(np.count_nonzero(m.saturated))
 

@@ -20,7 +20,7 @@ from hammerstein.hysteresis import Memory
 from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.model import HammersteinModel
 from hammerstein.notebook_repr import NotebookRepr
-from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range, column
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range, column, interval
 
 if TYPE_CHECKING:
     import control
@@ -72,7 +72,7 @@ class Response(NotebookRepr):
     hysteresis_um : output of the hysteresis (output, sample) [um]
     position_um : true position [um]
     reading_um : output of the sensor [um]
-    saturated : samples at which the drive's range cut the voltage (input, sample)
+    saturated : samples at which the drive's range clipped the voltage (input, sample)
     inputs, outputs : names of the axes; numbers from 1 if not given
     known : whether all signals were already checked
 
@@ -105,10 +105,10 @@ class Response(NotebookRepr):
     def __repr__(self) -> str:
         m, samples = self.drive_v.shape
         low, high = np.min(self.position_um, initial=0.0), np.max(self.position_um, initial=0.0)
-        cut = f", the range cut {n} samples" if (n := int(self.saturated.any(axis=0).sum())) else ""
+        cut = f", the range clipped {n} samples" if (n := int(self.saturated.any(axis=0).sum())) else ""
         return (
-            f"Response({samples} samples of {self.sample_time_s:g} s, {m} inputs, {len(self.position_um)} "
-            f"outputs; position {low:.4g} to {high:.4g} um{cut})"
+            f"Response({samples} samples of {interval(self.sample_time_s)}, {m} inputs, "
+            f"{len(self.position_um)} outputs; position {low:.4g} to {high:.4g} um{cut})"
         )
 
     @property
@@ -128,7 +128,7 @@ class Response(NotebookRepr):
         return replace(self, known=True, **cut)
 
     def wires(self) -> dict[str, NDArray[Any]]:
-        """Every signal that this run has, by name, and where the range cut the voltage."""
+        """Every signal that this run has, by name, and where the range clipped the voltage."""
         each = ((name, getattr(self, name)) for name in (*WIRES, "saturated"))
         return {name: wire for name, wire in each if wire is not None}
 

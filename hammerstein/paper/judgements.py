@@ -263,9 +263,9 @@ def _sentences(said: Sequence[str]) -> str:
 
 
 def _cut(claim: Claim, rows: Sequence[Row]) -> str:
-    """Say that the drive's range cut the voltage in the rows of a claim."""
+    """Say that the drive's range clipped the voltage in the rows of a claim."""
     cut = max((row.saturated_samples or 0 for row in rows if claim.selects(row)), default=0)
-    return f"the reference exceeds the range: the drive cut {cut:g} samples" if cut else ""
+    return f"the reference exceeds the range: the drive clipped {cut:g} samples" if cut else ""
 
 
 def _listed(changes: Sequence[Change]) -> str:

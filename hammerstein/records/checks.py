@@ -12,7 +12,7 @@ import numpy as np
 
 from hammerstein.arrays import Array, Flags, Indices
 from hammerstein.errors import InputError, Mistake
-from hammerstein.quantities import Range
+from hammerstein.quantities import Range, interval
 from hammerstein.records.turning_points import quantum
 from hammerstein.signals.text_tables import SHOWN, not_listed, where
 
@@ -185,14 +185,14 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
     if 2 * short < gaps.size <= max(FEW_GAPS * len(steps), 1):
         listed = [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]]
         return listed + not_listed(where(name), gaps.size, "gaps further down")
-    deviation = np.abs(time_s - _grid(time_s))
+    deviation = np.abs(time_s - np.linspace(time_s[0], time_s[-1], len(time_s)))
     if deviation.max() > time_tolerance(time_s):
         k = int(np.argmax(deviation))
         return [
             Mistake(
                 where(name, rows, k, k),
-                f"non-uniform time: steps from {steps.min():.6g} to {steps.max():.6g} s; resample the "
-                "record to a uniform sample time, or give --rate if the sampling was uniform",
+                f"non-uniform time: steps from {interval(steps.min())} to {interval(steps.max())}; resample "
+                "the record to a uniform sample time, or give --rate if the sampling was uniform",
             )
         ]
     return []
@@ -203,7 +203,7 @@ def _time_gap(name: str, time_s: Array, rows: Indices, k: int, typical: float) -
     missing = max(round(step / typical) - 1, 1)
     return Mistake(
         where(name, rows, k, k + 1),
-        f"gap of {step:.6g} s, about {missing} missing samples; cut the record there",
+        f"gap of {interval(step)}, about {missing} missing samples; cut the record there",
     )
 
 
@@ -237,10 +237,6 @@ def _lasts(time_s: Array, k: int, typical: float) -> bool:
     """Whether the samples behind a long step stay late: those behind jitter do not."""
     before, after = max(k - AROUND_GAP, 0), min(k + 1 + AROUND_GAP, len(time_s) - 1)
     return float(time_s[after] - time_s[before]) > (after - before + 0.5) * typical
-
-
-def _grid(time_s: Array) -> Array:
-    return np.linspace(time_s[0], time_s[-1], len(time_s))
 
 
 def time_tolerance(time_s: Array) -> float:

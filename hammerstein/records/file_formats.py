@@ -292,7 +292,7 @@ def _sheet(sheet: Any) -> dict[str, Variable]:
     for k in range(width):
         cells = [row[k] if k < len(row) else None for row in rows[first:]]
         if any(isinstance(cell, int | float) for cell in cells):
-            values = np.array([_cell(cell) for cell in cells])
+            values = np.array([cell if isinstance(cell, int | float) else math.nan for cell in cells], float)
             columns[names[k]] = Variable(partial(np.asarray, values), units[k])
     return columns
 
@@ -309,10 +309,6 @@ def _header(above: Sequence[Sequence[Any]], width: int) -> tuple[Sequence[str], 
 def _numbers(row: Sequence[Any]) -> bool:
     """Whether a row holds numbers and no text."""
     return any(isinstance(cell, int | float) for cell in row) and not any(isinstance(c, str) for c in row)
-
-
-def _cell(cell: Any) -> float:
-    return float(cell) if isinstance(cell, int | float) else math.nan
 
 
 def tdms_channels(path: Path) -> Variables:

@@ -154,18 +154,14 @@ def named_time(path: str | Path) -> Columns | None:
     InputError : a missing, empty or unreadable file
     """
     path = Path(path)
-    for name in _time_names(path):
+    arrays = path.suffix.lower() in SUFFIXES
+    for name in ARRAY_TIME_NAMES if arrays else Header.of(path).called_time():
         try:
             columns = read_columns(path, [name])
         except InputError:
             continue
         return columns if np.isfinite(columns.values).all() and columns.rows.size > 1 else None
     return None
-
-
-def _time_names(path: Path) -> Sequence[str]:
-    """Names in a file that may be those of a time."""
-    return ARRAY_TIME_NAMES if path.suffix.lower() in SUFFIXES else Header.of(path).called_time()
 
 
 def read_array(path: str | Path, variable: str | None = None) -> Array:

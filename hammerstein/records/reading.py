@@ -11,7 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake, all_of
-from hammerstein.quantities import RATE_HZ, SCALE
+from hammerstein.quantities import RATE_HZ, SCALE, interval
 from hammerstein.records.checks import (
     hidden_gaps,
     moves,
@@ -234,7 +234,7 @@ def _sample_time_of(columns: Columns) -> tuple[list[Mistake], float]:
         return mistakes, 1.0
     step = sample_time(time_s)
     if not RATE_HZ.holds(1.0 / step):
-        what = f"has steps of {step:.6g} s, which is a rate of {1.0 / step:.6g} Hz; it "
+        what = f"has steps of {interval(step)}, which is a rate of {1.0 / step:.6g} Hz; it "
         what += f"{RATE_HZ.words()}. Is its unit another than its name says?"
         return [Mistake(where(name), what)], 1.0
     return [], step

@@ -12,7 +12,7 @@ from hammerstein.arrays import Array, Indices, freeze, frozen
 from hammerstein.errors import InputError, Mistake
 from hammerstein.escaping import clean
 from hammerstein.notebook_repr import NotebookRepr
-from hammerstein.quantities import POSITION_UM, VOLTAGE_V, no_name, unique
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, interval, no_name, unique
 from hammerstein.records.checks import (
     clipping_mistakes,
     far_mistakes,
@@ -93,7 +93,7 @@ class Record(NotebookRepr):
             raise InputError(self.source, mistakes)
 
     def __repr__(self) -> str:
-        parts = [f"{self.samples} samples of {self.sample_time_s:.6g} s"]
+        parts = [f"{self.samples} samples of {interval(self.sample_time_s)}"]
         for names, values, unit in ((self.inputs, self.u_v, "V"), (self.outputs, self.y_um, "um")):
             spans = zip(names, values, strict=True)
             parts.append(", ".join(f"{n} {v.min():.4g} to {v.max():.4g} {unit}" for n, v in spans))

@@ -14,7 +14,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import percent
+from hammerstein.experiment.report import at_most
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
@@ -61,8 +61,7 @@ CAPTIONS = {
 class Asked(NamedTuple):
     """Command line of ``identify``, so that a page can give the next command.
 
-    model_file : file of the model; files : files of the first record; words : words that repeat the
-        identification
+    model_file : file of the model; files : files of the first record; words : records and options
     """
 
     model_file: Path
@@ -150,7 +149,7 @@ def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> li
     numbers = [_error(fit)]
     if "linear" in fit.judged and fit.kind != "linear":
         linear = max(fit.judged["linear"].nrmse_percent)
-        numbers.append(f"Rms error of a linear gain: at most {percent(linear / 100.0)} of the range.")
+        numbers.append(f"Rms error of a linear gain: {at_most(linear / 100.0)} of the range.")
     resonances = [axis.axis.resonance_hz for axis in fit.axes if axis.axis.resonance_hz is not None]
     fastest = min(fit.records, key=lambda record: record.sample_time_s).rate_hz
     numbers.append(
@@ -178,9 +177,9 @@ def _error(fit: Fit) -> str:
     score = fit.judged[fit.kind]
     pairs = zip(map(spoken, fit.outputs), score.rms_um, strict=True)
     each = ", ".join(f"{um:.3g} um on {name}" for name, um in pairs)
-    worst = percent(max(score.nrmse_percent) / 100.0)
+    worst = at_most(max(score.nrmse_percent) / 100.0)
     records = "validation records" if fit.validation else "fitted records"
-    return f"Rms error: {each}; at most {worst} of the range ({records})."
+    return f"Rms error: {each}; {worst} of the range ({records})."
 
 
 def _usable(fit: Fit) -> tuple[str, str]:
@@ -189,7 +188,7 @@ def _usable(fit: Fit) -> tuple[str, str]:
         return "Usable for simulation only", ": the model has no inverse."
     if fit.flags:
         return "Usable with care", ": the records show effects that the model cannot represent (see below)."
-    better = "; hammerstein compare may find a better model" if "hammerstein compare" in fit.verdict else ""
+    better = "; hammerstein compare may find a better model" if fit.other_kinds else ""
     untested = "." if fit.validation else "; untested on other records."
     return "Usable for simulation and compensation", better + untested
 
@@ -198,6 +197,8 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
     """What to do next in words, and the whole command that does it, where one does."""
     if not fit.invertible:
         return f"Next: {fit.invertibility}", ""
+    if fit.validation and fit.other_kinds and asked is not None:
+        return "Next:", _command("compare", *asked.words)
     if fit.validation:
         law = "exact_inverse" if fit.is_static else "hammerstein_inverse"
         law = "inverse_multiplicative" if isinstance(model.hysteresis, BoucWen) else law
@@ -206,7 +207,8 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
     if asked is None:
         return "Next: identify again, with a validation record.", ""
     files = [str(file.with_name(f"{file.stem}_validation{file.suffix}")) for file in asked.files]
-    again = _command("identify", *asked.words, *(word for file in files for word in ("--validate", file)))
+    held = [word for file in files for word in ("--validate", file)]
+    again = _command("identify", *asked.words, "--out", str(asked.model_file), *held)
     return f"Next: record another motion as {' and '.join(files)}, then", again
 
 

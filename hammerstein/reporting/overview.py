@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +36,7 @@ class Card:
     page, picture : links to its report and its key figure; the picture may be missing
     told : meaning of the numbers
     worst : label and worst error of each compensator or model, best first
-    beyond : omitted conditions, in which the drive's range cut the voltages of every compensator
+    beyond : omitted conditions, in which the drive's range clipped the voltages of every compensator
     """
 
     name: str
@@ -114,7 +113,7 @@ def _sections(reports: Sequence[Report], out: Path) -> Iterator[Section]:
 def _card(report: Report, out: Path) -> Card:
     drawn = [name for name in Manifest.read(out / report.name).files if name.endswith(".svg")]
     picture = min(drawn, key=place_of, default="")
-    worst = _worst(report)
+    worst, words = _worst(report), [judgement.word for judgement in report.judgements]
     return Card(
         name=report.name,
         question=report.scenario.question,
@@ -124,14 +123,8 @@ def _card(report: Report, out: Path) -> Card:
         worst=tuple(worst[:MOST_SHOWN]),
         more=max(0, len(worst) - MOST_SHOWN),
         beyond=_beyond_range(report),
-        verdicts=_verdicts(report),
+        verdicts=", ".join(f"{words.count(word)} {word}" for word in sorted(set(words))),
     )
-
-
-def _verdicts(report: Report) -> str:
-    """How many judgements there are of each word, such as ``3 met, 1 not met``."""
-    counts = Counter(judgement.word for judgement in report.judgements)
-    return ", ".join(f"{counts[word]} {word}" for word in sorted(counts))  # met, not met, undecided
 
 
 def _conditions(report: Report) -> str:
@@ -163,7 +156,7 @@ def _told(report: Report) -> str:
 def _within_range(report: Report) -> list[Row]:
     """Rows of conditions that some compensator reaches; all rows where none reaches any.
 
-    Where the drive's range cuts the voltages of every compensator, the error is the range's, not theirs.
+    Where the drive's range clips the voltages of every compensator, the error is the range's, not theirs.
     """
     inside = by_condition(report.rows)
     reached = [rows for rows in inside.values() if not _all_cut(rows)] or list(inside.values())
@@ -171,7 +164,7 @@ def _within_range(report: Report) -> list[Row]:
 
 
 def _all_cut(rows: Sequence[Row]) -> bool:
-    """Whether the drive's range cut the voltages of every compensator."""
+    """Whether the drive's range clipped the voltages of every compensator."""
     cut = {row.compensator for row in rows if row.saturated_samples}
     return cut == set(labels_of(rows))
 

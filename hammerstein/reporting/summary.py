@@ -30,7 +30,7 @@ MOST_ROWS = 8  # compensators or models in the table
 MOST_LABELS = 3  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 NEVER_SETTLES = "does not settle in"  # of one that says that more cycles do not help
-SENSOR_CUT = "the sensor's range cut"  # those of another
+SENSOR_CUT = "the sensor's range clipped"  # those of another
 DIVERGES = "does not converge: slopes"  # the same
 FLAGGED = ": flagged by its fit report"  # the same
 ITSELF = ": designed from the simulated actuator itself"  # the same
@@ -312,9 +312,10 @@ def _conduct(report: Report) -> Iterator[str]:
     cut = sum(bool(row.saturated_samples) for row in runs.values())
     clipped = sum(SENSOR_CUT in statement for statement in report.statements)
     unsettled = [text.partition(": ")[0] for text in report.statements if NOT_SETTLED in text]
-    yield f"The drive's range cut the voltage in {cut} of {len(runs)} runs." if cut else "No voltage was cut."
+    some = f"The drive's range clipped the voltage in {cut} of {len(runs)} runs."
+    yield some if cut else "No voltage was clipped."
     if clipped:
-        yield f"The sensor's range cut the reading in {clipped} of {len(runs)} runs."
+        yield f"The sensor's range clipped the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
     if unsettled:
         helps = any(NOT_SETTLED in text and NEVER_SETTLES not in text for text in report.statements)

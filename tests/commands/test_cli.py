@@ -58,7 +58,7 @@ def test_run_writes_a_report(folder, capsys):
 
 
 CUT = """
-question = "What does a small range cut of a path from a file?"
+question = "What does a small range clipped of a path from a file?"
 actuator = "duo_bimorph"
 instruments = { drive = { range_v = [-2, 2] } }
 [reference]
@@ -85,7 +85,7 @@ def test_the_table_counts_a_cut_sample_once_and_names_no_frequency_of_a_file(fol
     assert line.split()[:2] == ["cut", "fast"]
     assert line.split()[-1] == str(samples)
     assert len(line.split()) == 6  # no frequency
-    assert f"fast, all axes: the drive's range cut {samples} samples" in report
+    assert f"fast, all axes: the drive's range clipped {samples} samples" in report
 
 
 def test_two_runs_write_the_same_bytes(folder):

@@ -81,7 +81,7 @@ def test_summary_is_one_object(tmp_path, capsys):
 def test_path_on_another_grid_is_interpolated(tmp_path, capsys):
     _circle(tmp_path / "path.csv", sample_time_s=130e-6, samples=500)
     assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / "d.csv") == 0
-    assert "interpolated linearly from steps of 0.00013 s" in capsys.readouterr().out
+    assert "interpolated linearly from steps of 130 us" in capsys.readouterr().out
     times = pd.read_csv(tmp_path / "d.csv", comment="#")["time_s"].to_numpy()
     np.testing.assert_allclose(np.diff(times), T, rtol=1e-9)
 
@@ -92,7 +92,7 @@ def test_a_gap_in_the_time_of_a_path_is_named_with_its_place_and_length(tmp_path
     rows = (tmp_path / "path.csv").read_text().splitlines(keepends=True)
     (tmp_path / "gap.csv").write_text("".join(rows[:301] + rows[320:]))
     found = compensate("duo_bimorph", tmp_path / "gap.csv", "exact_inverse", {})
-    said = "a gap of 0.001 s after 0.01495 s, where its steps are 5e-05 s."
+    said = "a gap of 1 ms after 0.01495 s, where its steps are 50 us."
     assert said in " ".join(found.statements())
     period = cycle_of("duo_bimorph", tmp_path / "gap.csv", "exact_inverse", {})
     assert said in " ".join(period.statements())
@@ -400,5 +400,7 @@ def test_an_untested_rest_position_is_no_part_of_the_expected_error():
     """An actuator that began elsewhere missed by 0.94 um where 0.13 um was expected."""
     known = Prediction(np.zeros(1), np.zeros(1), np.array([0.13]), True, None, np.zeros(1), 0.0)
     assert "x 0.13 um plus an untested constant offset (path 0, " in known.statement(("x",))
+    assert "--conditioned" in known.begun
+    assert dataclasses.replace(known, rest=np.zeros(1)).begun == ""
     path = dataclasses.replace(known, path=np.array([1.2e-5])).statement(("x",))
     assert "(path 0.00001, " in path

@@ -277,7 +277,7 @@ def test_saturation_is_counted_and_told():
         _scenario(reference=reference, compensators=[{"label": "none", "law": "none", "identification": {}}])
     )
     assert all(row.saturated_samples > 0 for row in report.rows)
-    assert any("cut" in statement for statement in report.statements)
+    assert any("clipped" in statement for statement in report.statements)
 
 
 def test_report_is_plain_json_with_the_scenario_inside():

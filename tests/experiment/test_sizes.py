@@ -119,7 +119,7 @@ def test_a_delay_of_too_many_samples_is_refused_at_once():
     from hammerstein.dynamics import AxesDynamics, Axis, discretise
 
     late = AxesDynamics(axes=(Axis(resonance_hz=280.0, damping_ratio=0.1),) * 2, input_delay_s=1.0)
-    with pytest.raises(InputError, match="is 20000 samples of 5e-05 s, but at most 1000 are possible"):
+    with pytest.raises(InputError, match="is 20000 samples of 50 us, but at most 1000 are possible"):
         discretise(late, 50e-6)
 
 
@@ -263,7 +263,7 @@ def test_a_path_of_two_rows_and_many_hours_is_refused_before_its_grid_is_made(
         cli.main(["compensate", "duo_bimorph", str(tmp_path / "path.csv"), *options])
     assert caught.value.code == 3
     said = capsys.readouterr().err
-    for words in ("100,000,001 samples of 5e-05 s need about", "4 GB are free", "t [ms]"):
+    for words in ("100,000,001 samples of 50 us need about", "4 GB are free", "t [ms]"):
         assert words in said
 
 
@@ -272,7 +272,7 @@ def test_a_long_path_says_its_cost_before_the_work(tmp_path, monkeypatch, capsys
     monkeypatch.setattr("hammerstein.compensators.drive_file.compensation_of", None)  # nothing begins
     with pytest.raises(SystemExit):
         cli.main(["compensate", "duo_bimorph", str(tmp_path / "path.csv")])
-    assert "400,001 samples of 5e-05 s: about 0.18 GB of memory and 6 seconds" in capsys.readouterr().err
+    assert "400,001 samples of 50 us: about 0.18 GB of memory and 6 seconds" in capsys.readouterr().err
 
 
 def test_what_is_played_is_refused_by_its_size_too(tmp_path, monkeypatch, capsys):
@@ -282,7 +282,7 @@ def test_what_is_played_is_refused_by_its_size_too(tmp_path, monkeypatch, capsys
     with pytest.raises(SystemExit) as caught:
         cli.main(["play", "duo_bimorph", "drive.csv"])
     assert caught.value.code == 3
-    assert "2,000 samples of 0.001 s need about" in capsys.readouterr().err
+    assert "2,000 samples of 1 ms need about" in capsys.readouterr().err
 
 
 def test_a_text_of_many_blocks_is_the_text_of_one(monkeypatch):

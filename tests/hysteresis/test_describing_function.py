@@ -243,7 +243,7 @@ def _frequency_hz(signal):
 
 
 def test_a_small_motion_decays_and_a_large_one_is_caught(cycles):
-    """More operators move as the amplitude grows, until the range cuts it."""
+    """More operators move as the amplitude grows, until the range clips it."""
     small, large = cycles
     assert (small.stable, large.stable) == (False, True)
     assert small.amplitude_v < 1.0 < RANGE_V < large.amplitude_v

@@ -318,7 +318,7 @@ def test_creep_that_is_left_out_although_it_explains_much_is_told():
     fit = AxisFit(axis, None, None, (), rms_um=0.07, static_rms_um=1.0, lag_error_percent=1.0, unsure=larger)
     [text] = [text for text in axis_statements(["x"], [fit]) if "creep" in text]
     assert "a slow mode with a time constant of 1.8 s would lower the error from 0.07 to 0.03 um" in text
-    assert "(0.07 +- 0.05)" in text
+    assert "(0.07 ± 0.05)" in text
     assert text.endswith("--creep-modes 1")
     hardly = replace(fit, unsure=replace(larger, rms_um=0.068))
     assert not any("creep" in text for text in axis_statements(["x"], [hardly]))

@@ -236,7 +236,7 @@ def test_unsure_damping_and_creep_are_stated():
     said = axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)])
     assert said[0] == "damping of x: standard error 40 %"
     assert said[1].startswith(
-        "creep of x with a time constant of 300 s: gain 0.01 +- 0.02; use a record several times longer"
+        "creep of x with a time constant of 300 s: gain 0.01 ± 0.02; use a record several times longer"
     )
 
 
@@ -246,7 +246,7 @@ def test_a_lag_that_is_mostly_error_is_stated():
     sure = AxisFit(axis, 0.1, 1.0, (), 0.1, 1.0, lag_error_percent=10.0)
     assert axis_statements(("x",), [sure]) == []
     said = axis_statements(("x",), [replace(sure, lag_error_percent=400.0)])
-    assert said[-1] == "lag of x: 1e-05 +- 4e-05 s"
+    assert said[-1] == "lag of x: 10 us ± 40 us"
 
 
 @pytest.mark.parametrize("sensor_hz", [None, 2000.0])

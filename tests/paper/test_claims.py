@@ -223,7 +223,7 @@ def test_cut_voltages_are_told_beside_the_claim():
     (judgement,) = judgements([_claim({"at_most": 2.0})], {"plant": [(row,)]})
     assert judgement.agrees
     assert judgement.reason == ""
-    assert judgement.details == "The reference exceeds the range: the drive cut 12 samples"
+    assert judgement.details == "The reference exceeds the range: the drive clipped 12 samples"
 
 
 def test_rows_are_divided_by_those_of_their_own_place():

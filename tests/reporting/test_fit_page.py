@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import made_up
 import numpy as np
@@ -15,7 +16,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures.identified import operators_figure, residual_figure, response_figure
-from hammerstein.reporting.fit_page import fit_page
+from hammerstein.reporting.fit_page import Asked, fit_page, next_step
 
 SETTINGS = plain(operators=6, partition="fitted")
 Found = tuple[HammersteinModel, Fit]
@@ -126,8 +127,11 @@ def test_the_table_of_a_fit_keeps_its_words_whole_in_80_columns(fits: tuple[Foun
 
 def test_an_error_far_above_the_noise_names_the_command_that_helps(fits: tuple[Found, Found]) -> None:
     model, fit = fits[0]
-    found = replace(fit, flags=(), verdict="hammerstein compare tries every kind on these records.")
+    found = replace(fit, flags=(), other_kinds=True)
     assert "; hammerstein compare may find a better model." in fit_page(model, found).markdown()
+    asked = Asked(Path("m.json"), [Path("a.csv")], ["a.csv", "--validate", "b.csv"])
+    assert next_step(model, found, asked) == ("Next:", "hammerstein compare a.csv --validate b.csv")
+    assert next_step(model, replace(found, other_kinds=False), asked)[1].startswith("hammerstein compensate")
 
 
 def test_a_sample_time_is_given_in_us(fits: tuple[Found, Found]) -> None:

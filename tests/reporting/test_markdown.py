@@ -141,7 +141,7 @@ def test_answer_tells_the_errors_of_a_single_frequency() -> None:
     text = answer(with_rms(sine(), lambda label, _: 3.0 if label == "paper" else 0.5))
     assert text == (
         "The rms error, direct / cross-coupling: [um]; 50 Hz, 40 um none; 0.500 / 0.0500 "
-        "paper; 3.00 / 0.300 No voltage was cut. Every run had settled."
+        "paper; 3.00 / 0.300 No voltage was clipped. Every run had settled."
     )
 
 
@@ -217,7 +217,7 @@ def test_answer_describes_loops_where_there_is_nothing_to_compare_with() -> None
 
 def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     cut = report_of(drive=SINE_V, instruments={"drive": {"range_v": 8.0}})
-    assert "The drive's range cut the voltage in 2 of 2 runs." in answer(cut)
+    assert "The drive's range clipped the voltage in 2 of 2 runs." in answer(cut)
     hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
     said = answer(hurried)
     assert "No run had settled. These figures still change; " in said

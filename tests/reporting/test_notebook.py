@@ -58,11 +58,11 @@ def test_texts_are_short_and_say_what_it_is(model, response, record):
         repr(model.hysteresis.pairs[0][0]): ["Pair(15 operators", "6.231 um/V"],
         repr(hammerstein.Pair.absent()): ["Pair(absent)"],
         repr(hammerstein.discretise(model.dynamics, 5e-5)): [
-            "LinearBlock(order 4, 2 inputs, 2 outputs, with a sample time of 5e-05 s"
+            "LinearBlock(order 4, 2 inputs, 2 outputs, with a sample time of 50 us"
         ],
         repr(model.dynamics.block()): ["LinearBlock(order 4, 2 inputs, 2 outputs, continuous)"],
-        repr(response): ["Response(2000 samples of 0.0001 s, 2 inputs, 2 outputs; position -"],
-        repr(record): ["Record('a & b.csv': 2000 samples of 0.0001 s; u <x> -8 to 8 V; x -"],
+        repr(response): ["Response(2000 samples of 100 us, 2 inputs, 2 outputs; position -"],
+        repr(record): ["Record('a & b.csv': 2000 samples of 100 us; u <x> -8 to 8 V; x -"],
     }
     for text, parts in said.items():
         assert len(text) < 250
@@ -101,7 +101,7 @@ def test_the_text_of_a_report_does_not_hold_its_rows():
 
 def test_a_cut_drive_is_in_the_text(model):
     cut = Plant(model, Instruments()).respond(np.array([[0.0, 20.0, 20.0], [0.0, 0.0, 0.0]]), [0])
-    assert "the range cut 2 samples" in repr(cut)
+    assert "the range clipped 2 samples" in repr(cut)
 
 
 def test_pictures_stand_in_the_page_itself(model, response, record):

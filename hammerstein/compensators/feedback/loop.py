@@ -11,6 +11,7 @@ import numpy as np
 from hammerstein.arrays import Array, ByValue, Complex
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import SimulationError
+from hammerstein.quantities import interval
 
 POINTS = 800  # of the grid from a tenth of the slowest resonance to Nyquist
 NEAREST, NARROW = 0.05, 0.06  # about a resonance: the first distance in half widths, ln of the ratio of two
@@ -47,7 +48,7 @@ class Gains:
         for o, ki in enumerate(self.integral_per_s):
             text = f"output {o + 1}: {ki:.4g} /s integral, {self.proportional[o]:.3g} proportional"
             if self.derivative_s[o]:
-                text += f", {self.derivative_s[o]:.3g} s derivative"
+                text += f", {interval(self.derivative_s[o])} derivative"
             if self.crossover_hz is not None:
                 text += f", loop gain 1 at {self.crossover_hz[o]:.3g} Hz"
             axes.append(text)

@@ -44,7 +44,7 @@ class FeedbackController(Controller[ControllerState]):
         U[k+1] = U_ff[k+1] + G^+ c[k]
 
     The reading of a sample acts on the drive of the next one: the computer needs that time. G is the gain
-    matrix of the settled loops; what the range cuts off the drive is taken out of the sum at once
+    matrix of the settled loops; what the range clips off the drive is taken out of the sum at once
     (back-calculation), so that the controller leaves the range as soon as the reference does.
 
     Without gains they are computed from the model (``tuning``): the largest integral gain that keeps the

@@ -33,7 +33,7 @@ def low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
         least = filter_hz * length / LONGEST_FILTER
         raise InputError(
             "filter_hz",
-            f"{filter_hz:g} Hz needs a filter of {length:.3g} samples of {sample_time_s:g} s, but at "
+            f"{filter_hz:g} Hz needs a filter of {length:.3g} samples of {interval(sample_time_s)}, but at "
             f"most {LONGEST_FILTER} are allowed; use {least:.3g} Hz or more, or a longer sample time",
         )
     return np.asarray(firwin(length | 1, filter_hz / nyquist, window=("kaiser", beta)), dtype=np.float64)
@@ -277,7 +277,7 @@ def _backward(a: Array, b: Array, lift: Array, c: Array, block: LinearBlock) -> 
         power = inverse @ power
     raise SimulationError(
         f"The linear block has a zero at |z| = {radius:.9g}, on the unit circle or just outside. Its "
-        f"inverse would need more than {LONGEST_PREVIEW * block.sample_time_s:.3g} s of preview. "
+        f"inverse would need more than {interval(LONGEST_PREVIEW * block.sample_time_s)} of preview. "
         "Reduce the order of the model, or compensate without its dynamics."
     )
 

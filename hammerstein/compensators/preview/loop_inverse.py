@@ -24,6 +24,7 @@ from hammerstein.dynamics import FeedbackBlock, LinearBlock, on_grid, split_dela
 from hammerstein.dynamics.feedback_hysteresis import FAR_V
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import interval
 
 MOST_PASSES, PATIENCE = 24, 3
 """Passes that are tried, and how many in a row may leave more than the best before."""
@@ -244,7 +245,7 @@ class LoopInverseLaw(Law[LoopPathState]):
         ahead = (1 + self.passes) * self.loop.inverse.reach_samples
         self.preview_samples = ahead + self._early
         if preview_s is not None and preview_s < self.preview_samples * sample_time_s:
-            needed = f"{self.preview_samples * sample_time_s:.3g} s"
+            needed = interval(self.preview_samples * sample_time_s)
             raise InputError("preview_s", f"hysteresis in the loop needs {needed} here, not {preview_s:g}")
 
     def statement(self) -> str:
@@ -254,7 +255,7 @@ class LoopInverseLaw(Law[LoopPathState]):
             f"{self.exact.invertibility.statement()} The hysteresis in the loop is inverted in "
             f"{self.passes} iterations on a stream, with an error of {self.left:.1g} of a trial path; a path "
             "that is known as a whole is iterated until it is met. The reference must be known "
-            f"{ahead} samples ahead ({ahead * self.sample_time_s:.3g} s) and start at rest (--lead-in)."
+            f"{ahead} samples ahead ({interval(ahead * self.sample_time_s)}) and start at rest (--lead-in)."
         )
 
     def rest(self) -> LoopPathState:

@@ -61,6 +61,7 @@ def result_of(
     judged = _scores(candidates, held) if held else {}
     flags = tuple(record_flags(best, [*records, *held], [*starts, *held_starts]))
     swing = half_swing(records)
+    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in records])
     fit = Fit(
         inputs=one.inputs,
         outputs=one.outputs,
@@ -71,7 +72,7 @@ def result_of(
         operators=straight.operators,
         amplitude_v=float(swing.max()),
         amplitudes_v=tuple(swing.tolist()),
-        voltages=_voltages(records),
+        voltages=Voltages.of(records[0].rest_v, sent.min(axis=1), sent.max(axis=1)),
         delay_samples=0.0,
         sample_time_s=one.sample_time_s,
         sensor_bandwidth_hz=None,
@@ -100,9 +101,3 @@ def result_of(
 def _scores(candidates: Mapping[Kind, Candidate], records: Sequence[Record]) -> dict[Kind, Score]:
     starts = [start_of(record) for record in records]
     return {kind: score(candidate, records, starts) for kind, candidate in candidates.items()}
-
-
-def _voltages(records: Sequence[Record]) -> Voltages:
-    """Range of the records, and the voltage from which their settled periods count."""
-    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in records])
-    return Voltages.of(records[0].rest_v, sent.min(axis=1), sent.max(axis=1))

@@ -149,10 +149,8 @@ def _coordinates(a: Array) -> Array:
     poles, vectors = np.linalg.eig(a)
     real = np.flatnonzero(np.abs(poles.imag) <= 1e-12 * np.abs(poles))
     pairs = [
-        part for i in np.flatnonzero(poles.imag > 1e-12 * np.abs(poles)) for part in _parts(vectors[:, i])
+        part
+        for vector in vectors[:, poles.imag > 1e-12 * np.abs(poles)].T
+        for part in (vector.real, vector.imag)
     ]
     return np.array([*pairs, *(vectors[:, i].real for i in real)]).T
-
-
-def _parts(vector: np.ndarray[tuple[int, ...], np.dtype[np.complex128]]) -> tuple[Array, Array]:
-    return vector.real, vector.imag

@@ -57,9 +57,11 @@ def nodes_uniform_in_time(operators: int, samples_per_half_cycle: float) -> Indi
     _refuse_count(operators)
     spacing = math.floor(samples_per_half_cycle / (operators + 1))
     if spacing < 1:
+        most = math.floor(samples_per_half_cycle) - 1
+        fewer = f"at most {most} operators, " if most > 0 else ""
         raise IdentificationError(
             f"the rising half of a cycle has {samples_per_half_cycle:g} samples, too few for "
-            f"{operators} operators; use {_fewer(samples_per_half_cycle)}a lower frequency or a "
+            f"{operators} operators; use {fewer}a lower frequency or a "
             "higher sampling rate, or thresholds uniform in voltage"
         )
     return spacing * np.arange(1, operators + 2, dtype=np.int64) - 1
@@ -89,12 +91,6 @@ def thresholds_uniform_in_voltage(amplitude_v: float, operators: int) -> Array:
 def _refuse_count(operators: int) -> None:
     if operators < 1:
         raise IdentificationError(f"{operators} operators are not a model; use at least one")
-
-
-def _fewer(samples_per_half_cycle: float) -> str:
-    """The most operators there may be, where that is one at least."""
-    most = math.floor(samples_per_half_cycle) - 1
-    return f"at most {most} operators, " if most > 0 else ""
 
 
 def closed_form(

@@ -167,12 +167,9 @@ def _words(key: Sequence[tuple[str, str | float]]) -> str:
     >>> _words([("compensator", "inverse"), ("measured_axis", "x"), ("claim", "C1")])
     'inverse, position x, claim C1'
     """
-    named = [NAMED.get(name, f"{name.replace('_', ' ')} {{}}").format(_text(value)) for name, value in key]
+    shown = [(name, f"{value:g}" if isinstance(value, float) else value) for name, value in key]
+    named = [NAMED.get(name, f"{name.replace('_', ' ')} {{}}").format(value) for name, value in shown]
     return ", ".join(named) or "all rows"
-
-
-def _text(value: str | float) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _quantity(metric: str) -> str:
