@@ -484,6 +484,7 @@ def test_a_model_without_a_compensator_error_says_why_in_its_row() -> None:
     rows = {text.get_position()[1]: text.get_text() for text in figure.axes[1].texts}
     assert rows == {1: "this model replaces the actuator", 2: "no compensator"}
     assert all(text.get_bbox_patch() for text in figure.axes[1].texts)  # no line of the grid strikes it out
+    assert legend_texts(figure) == ["fitted", "recommended"]  # not one frequency
 
 
 @pytest.mark.parametrize("ends", [(0.85, 1.4), (0.018, 0.026), (2.1, 3.9), (0.5, 40.0)])

@@ -75,7 +75,7 @@ def _draw_errors(
         colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
         values = [max(score[hz].mean_percent, LEAST) for score in scores]
         face = "white" if hollow else colour
-        (drawn[f"{told}, {hz:g} Hz"],) = axes.plot(
+        (drawn[told if len(scores[0]) == 1 else f"{told}, {hz:g} Hz"],) = axes.plot(
             values, range(len(values)), marker, color=colour, markerfacecolor=face, markersize=6.0, zorder=3
         )
     return drawn
