@@ -333,7 +333,8 @@ def _respond_branches(  # type: ignore[no-untyped-def]
         level = unit * way
         limit = reach
         if base > 0:
-            k = max(k, first_at_least(max(level, 0.0), max(rate * way, 0.0), r, guide))
+            # Half of the smallest number is 0: a voltage that moves engages operator 0 all the same.
+            k = max(k, 1, first_at_least(max(level, 0.0), max(rate * way, 0.0), r, guide))
             limit = min(r[at(k)], reach)
         for o in range(len(outputs)):
             value = _line(way, turn, k, o, base, lines, tip, outputs)

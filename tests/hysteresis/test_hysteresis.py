@@ -168,6 +168,17 @@ def test_slopes_and_amplitude_of_a_pair():
 # ---- state ----
 
 
+def test_the_smallest_step_of_a_voltage_engages_an_operator():
+    """A segment of no operator stood in the stack; what was then read beside the thresholds never ended."""
+    tiny, r, w = 5e-324, np.array([0.0, 1.0]), np.array([1.0, 2.0])
+    model, path = PrandtlIshlinskii([[Pair(r, w)]]), np.array([3.0, 0.0, tiny])
+    _, end = model.respond([path])
+    assert (end.end[0, : end.count[0]] > 0).all()
+    whole = np.concatenate([path, [-2.0, 2.0, 0.0, tiny, 4.0]])
+    v, _ = model.respond([whole])
+    np.testing.assert_allclose(v[0], theory.prandtl_ishlinskii(whole, r, w), atol=1e-12)
+
+
 @settings(max_examples=60)
 @given(models_and_inputs())
 def test_step_equals_respond_to_the_last_bit(case):
