@@ -208,10 +208,11 @@ def length(um: float, digits: int = 3) -> str:
 def interval(seconds: float) -> str:
     """Sample time or delay, in the unit that engineers give it in.
 
-    >>> interval(5e-5), interval(0.00325), interval(1.5)
-    ('50 us', '3.25 ms', '1.5 s')
+    >>> interval(5e-5), interval(0.00325), interval(1.5), interval(1e-3 - 1e-12)
+    ('50 us', '3.25 ms', '1.5 s', '1 ms')
     """
-    factor, unit = ((1.0, "s"), (1e3, "ms"), (1e6, "us"))[int(seconds < 1.0) + int(seconds < 1e-3)]
+    seconds = float(f"{seconds:.4g}")
+    factor, unit = ((1.0, "s"), (1e3, "ms"), (1e6, "us"))[(seconds < 1.0) + (seconds < 1e-3)]
     return f"{factor * seconds:.4g} {unit}"
 
 

@@ -141,9 +141,6 @@ def model_error_um(model: HammersteinModel) -> Array | None:
     return np.asarray(0.01 * np.array(verdict.nrmse_percent) * travel)
 
 
-BEGUN = " Earlier motion shifts the position; driven to both ends of the range first (--conditioned), less."
-
-
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Contributions to the rms error of a drive, each (p,) in um; all but the path's are from the model file.
@@ -198,11 +195,6 @@ class Prediction:
             "noise_um": self.noise,
             "rms_um": float(self.rms_um[o]),
         }
-
-    @property
-    def begun(self) -> str:
-        """What to do about a start that no record tested."""
-        return "" if self.rest is not None else BEGUN
 
     def statement(self, outputs: Sequence[str]) -> str:
         """Name the contributions and their rms for each output."""

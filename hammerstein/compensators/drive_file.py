@@ -32,6 +32,9 @@ FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
+EARLIER = " Earlier motion shifts the position; driven to both ends of the range first (--conditioned), less."
+
+
 @dataclass(frozen=True, eq=False)
 class Compensation:
     """Drive for real hardware, and what the model predicts for it.
@@ -178,9 +181,10 @@ class Compensation:
         if limits.conditioned:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
             return f"{text}driven to {top}, then to {low}, then directly to the start."
+        earlier = EARLIER if self.prediction.rest is None else ""
         if (limits.start_v == limits.working_point_v).all():
-            return f"{text}at rest, without history.{self.prediction.begun}"
-        return f"{text}at rest at {rest} before, then directly to the start.{self.prediction.begun}"
+            return f"{text}at rest, without history.{earlier}"
+        return f"{text}at rest at {rest} before, then directly to the start.{earlier}"
 
     def to_csv(self, tell: Tell | None = None) -> str:
         """Text of the drive file: time, voltages to send, reference, predicted position.

@@ -169,7 +169,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         --------
         >>> model = HammersteinModel.load("duo_bimorph_static")
         >>> model.simulate([[0.0, 5.0], [0.0, 0.0]], 50e-6)
-        Response(2 samples of 5e-05 s, 2 inputs, 2 outputs; position 0 to 24.32 um)
+        Response(2 samples of 50 us, 2 inputs, 2 outputs; position 0 to 24.32 um)
         """
         u = np.atleast_2d(np.asarray(u_v, dtype=np.float64))
         if u.ndim != 2 or len(u) != self.hysteresis.n_inputs:

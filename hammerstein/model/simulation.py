@@ -85,7 +85,7 @@ class Response(NotebookRepr):
     >>> plant = Plant(HammersteinModel.load("duo_bimorph_static"), Instruments.ideal())
     >>> response = plant.respond(np.array([[0.0, 5.0], [0.0, 0.0]]), [0])
     >>> response
-    Response(2 samples of 5e-05 s, 2 inputs, 2 outputs; position 0 to 24.32 um)
+    Response(2 samples of 50 us, 2 inputs, 2 outputs; position 0 to 24.32 um)
     >>> list(response.to_frame())[-2:]
     ['reading_x_um', 'reading_y_um']
     """

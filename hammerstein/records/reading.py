@@ -365,7 +365,7 @@ def records_of_time_response(
     >>> time_s = 1e-3 * np.arange(300)
     >>> data = control.forced_response(control.tf([5.0], [0.01, 1.0]), time_s, np.sin(40.0 * time_s))
     >>> records_of_time_response(data)
-    (Record('time response': 300 samples of 0.001 s; u[0] -1 to 0.9999 V; y[0] -4.641 to 4.654 um),)
+    (Record('time response': 300 samples of 1 ms; u[0] -1 to 0.9999 V; y[0] -4.641 to 4.654 um),)
     """
     from hammerstein.blocks.block_system import traces_of
 

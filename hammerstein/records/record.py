@@ -54,7 +54,7 @@ class Record(NotebookRepr):
     >>> u = np.sin(np.linspace(0.0, 12.0, 300))
     >>> record = Record([u], [5.0 * u], 1e-3)
     >>> record
-    Record('record': 300 samples of 0.001 s; u1 -1 to 1 V; y1 -5 to 5 um)
+    Record('record': 300 samples of 1 ms; u1 -1 to 1 V; y1 -5 to 5 um)
     """
 
     u_v: Array

@@ -176,7 +176,7 @@ def test_the_smallest_step_of_a_voltage_engages_an_operator():
     assert (end.end[0, : end.count[0]] > 0).all()
     whole = np.concatenate([path, [-2.0, 2.0, 0.0, tiny, 4.0]])
     v, _ = model.respond([whole])
-    np.testing.assert_allclose(v[0], theory.prandtl_ishlinskii(whole, r, w), atol=1e-12)
+    np.testing.assert_allclose(v[0], theory.prandtl_ishlinskii([whole], [[r]], [[w]])[0], atol=1e-12)
 
 
 @settings(max_examples=60)
