@@ -66,7 +66,7 @@ def test_micromanipulator_moves_too_slowly_to_tell_a_resonance(micromanipulator)
     model, fit = identify(micromanipulator[0], plain(dynamics="second_order"))
     assert fit.kind == "static_hysteresis"
     assert model.dynamics.kind == "static"
-    assert fit.not_identifiable[0].startswith("resonance and damping of 5")
+    assert fit.not_identifiable[0].startswith("resonance and damping of column 5")
 
 
 @needs_dbo
