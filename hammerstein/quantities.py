@@ -217,7 +217,7 @@ def interval(seconds: float) -> str:
 
 
 def sampling(sample_time_s: float | None) -> str:
-    """Grid of a block in words: none has a sample time of 0, which is continuous.
+    """Grid of a block in words; without a sample time it is continuous.
 
     >>> sampling(5e-5), sampling(None)
     ('with a sample time of 50 us', 'continuous')

@@ -32,7 +32,7 @@ FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
-EARLIER = " Earlier motion shifts the position; driven to both ends of the range first (--conditioned), less."
+EARLIER = " Earlier motion shifts the position, and less with --conditioned: both ends of the range first."
 
 
 @dataclass(frozen=True, eq=False)

@@ -160,7 +160,7 @@ def _hold(cycle: Cycle, kind: Device, points: int | None) -> int:
             and steps > 0.5
         ):
             return hold
-    step = "" if kind.step_s is None else f", each a multiple of {1e6 * kind.step_s:g} us"
+    step = "" if kind.step_s is None else f", each a multiple of {interval(kind.step_s)}"
     raise InputError(
         "--table",
         f"a period of {samples} samples of {interval(time_s)} is not a whole number of points, at most "

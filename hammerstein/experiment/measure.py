@@ -411,7 +411,7 @@ def _sampling(setup: SetUp) -> Iterator[str]:
     share = hold_share(highest, step)
     if share > HOLD_SHARE:
         held = (
-            f"Each voltage is constant for {1e6 * step:g} us. At {highest:g} Hz this alone "
+            f"Each voltage is constant for {interval(step)}. At {highest:g} Hz this alone "
             f"causes an error of {100.0 * share:.2g} % of a sine's amplitude; the error exceeds "
             f"{100.0 * HOLD_SHARE:g} % above {HOLD_SHARE / (math.pi * step):.3g} Hz. "
         )
@@ -426,8 +426,8 @@ def _sampling(setup: SetUp) -> Iterator[str]:
         own = getattr(source.identification, "sample_time_s", None)
         if own is not None and not math.isclose(own, step):
             yield (
-                f"{source.label}: identified at a sample time of {1e6 * own:g} us, run at "
-                f"{1e6 * step:g} us; the model does not contain this difference."
+                f"{source.label}: identified at a sample time of {interval(own)}, run at "
+                f"{interval(step)}; the model does not contain this difference."
             )
     every = scenario.measure.record_every
     if every is not None:

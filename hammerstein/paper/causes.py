@@ -18,6 +18,7 @@ from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.claims import Claim, FactorName
 from hammerstein.paper.judgements import Change
+from hammerstein.quantities import sampling
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, ModelSource
@@ -135,7 +136,7 @@ def _passes(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variat
 
 def _sample_time(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     changed = finer(scenario, model, FINER)
-    words = f"with a sample time of {1e6 * (changed.instruments.drive.sample_time_s or 0.0):g} us"
+    words = sampling(changed.instruments.drive.sample_time_s)
     return Variation(("sample_time",), words, changed, model)
 
 

@@ -502,4 +502,4 @@ def test_what_the_hold_alone_costs_is_told(actuator, sample_time_s, told):
         error = held - np.sin(2 * np.pi * 10.0 * time)
         off = 2.0 * abs(np.mean(error * np.exp(-2j * np.pi * 10.0 * time)))
         assert f"an error of {100 * off:.2g} % of a sine's amplitude" in said[0]
-        assert "identified at a sample time of 50 us, run at 2000 us" in said[1]
+        assert "identified at a sample time of 50 us, run at 2 ms" in said[1]
