@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pytest
 
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Voltages
@@ -292,3 +293,23 @@ NAMES = [case.name for case in CASES]
 
 def case(name):
     return CASES[NAMES.index(name)]
+
+
+VARIANTS = (
+    "started",
+    "three inputs",
+    "saturating",
+    "flattening",
+    "behind",
+    "delayed",
+    "away",
+    "twice",
+    "hammerstein",
+)
+"""Words of cases that run with ``--full``: variants whose loops a compiler makes anew."""
+
+
+def marked(name):
+    """A case, or one that runs with ``--full``."""
+    late = any(word in name for word in VARIANTS) and name != "hammerstein_inverse"
+    return pytest.param(name, marks=pytest.mark.full) if late else name

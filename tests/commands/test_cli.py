@@ -71,6 +71,7 @@ model = "duo_bimorph"
 """
 
 
+@pytest.mark.full
 def test_the_table_counts_a_cut_sample_once_and_names_no_frequency_of_a_file(folder, capsys):
     t = 50e-6 * np.arange(4000)
     path = 7.0 * np.sin(2.0 * np.pi * 450.0 * t)
@@ -198,6 +199,7 @@ def test_check_fails_without_baseline_then_passes_then_sees_a_change(folder, cap
     assert "scenario" in capsys.readouterr().out
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("wait_s", [2.0, *(pytest.param(s, marks=pytest.mark.long) for s in (1.0, 3.0))])
 def test_ctrl_c_while_the_processes_begin_is_quiet(folder, wait_s):
     for k in range(4):

@@ -222,7 +222,9 @@ def no_room_beyond(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("size", [100, 300, 5_000, 30_000])
+@pytest.mark.parametrize(
+    "size", [300, *(pytest.param(n, marks=pytest.mark.full) for n in (100, 5_000, 30_000))]
+)
 def test_a_full_disk_leaves_the_old_report(ran, capsys, size):
     folder = ran
     before = contents(folder)
@@ -251,6 +253,7 @@ def test_a_failing_run_leaves_the_old_report(ran):
     assert contents(folder / "reports") == before
 
 
+@pytest.mark.full
 def test_plot_replaces_figures_only(folder):
     assert call("run", "small.toml", "--no-figures") == 0
     before = contents(folder / "reports/small")
@@ -269,6 +272,7 @@ def test_plot_replaces_figures_only(folder):
 OF_THE_PAPER = '\n[assessment]\nkind = "paper"\nfigure = "Fig. 5"\n'
 
 
+@pytest.mark.full
 def test_a_page_beside_a_person_s_files(folder, capsys):
     page = folder / "site"
     page.mkdir()
@@ -291,6 +295,7 @@ def test_a_page_beside_a_person_s_files(folder, capsys):
     assert contents(other) == {"README.md": b"the README of my project"}
 
 
+@pytest.mark.full
 def test_a_page_is_not_replaced_by_one_that_lacks_what_failed(folder, capsys):
     (folder / "s").mkdir()
     (folder / "s" / "small.toml").write_text(SMALL + OF_THE_PAPER)

@@ -135,6 +135,7 @@ def test_a_drive_that_the_converter_leaves_still_is_out_of_reach(run, change):
     assert "at -0 V" not in said
 
 
+@pytest.mark.full
 def test_identification_at_a_low_frequency_is_told_as_what_it_is(run):
     text = """
 question = "?"

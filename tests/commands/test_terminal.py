@@ -49,6 +49,7 @@ def shell(redirection, *arguments, **environment):
     return done
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "encoding", ["cp1252", *(pytest.param(e, marks=pytest.mark.long) for e in ("ascii", "utf-8"))]
 )
@@ -128,7 +129,8 @@ ours.main()
 @pytest.mark.parametrize(
     ("number", "wait_s"),
     [
-        *((signal.SIGINT, wait_s) for wait_s in (0.015, 0.03, 0.06, 0.1, 0.2, 0.4, 0.8)),
+        *((signal.SIGINT, wait_s) for wait_s in (0.015, 0.06, 0.2, 0.8)),
+        *(pytest.param(signal.SIGINT, wait_s, marks=pytest.mark.full) for wait_s in (0.03, 0.1, 0.4)),
         *((signal.SIGTERM, wait_s) for wait_s in (0.03, 0.4)),  # the same handler
         *(
             pytest.param(signal.SIGTERM, wait_s, marks=pytest.mark.long)

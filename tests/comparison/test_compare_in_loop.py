@@ -114,6 +114,7 @@ def test_a_resonance_that_moves_with_the_amplitude_is_given_to_the_loop(monkeypa
     assert error.std() < 1e-3 * path.std()
 
 
+@pytest.mark.full
 def test_a_cascade_is_not_given_to_the_loop(monkeypatch):
     """Plays in front of a resonance, which move no pole: a loop that imitates them is no better."""
     found = compared(cascade(), monkeypatch)

@@ -92,6 +92,7 @@ def signs(model):
     return {int(np.sign(np.linalg.det(np.array(choice).T))) for choice in itertools.product(*columns)}
 
 
+@pytest.mark.full
 def test_solves_100_random_models_on_paths_with_many_minor_loops():
     generator, found, worst = np.random.default_rng(SEED), 0, 0.0
     while found < 100:
@@ -108,6 +109,7 @@ def test_solves_100_random_models_on_paths_with_many_minor_loops():
     assert worst <= 1e-9
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("m", "p"), [(1, 1), (3, 3), (3, 2)])
 def test_other_shapes_are_solved_too(m, p):
     generator, found = np.random.default_rng([SEED, m, p]), 0

@@ -42,6 +42,7 @@ def stage(tmp_path_factory):
     return folder
 
 
+@pytest.mark.full
 def test_its_half_width_and_gain_are_identified(stage):
     pair = HammersteinModel.load(stage / "stage.json").hysteresis.pairs[0][0]
     weights, thresholds_v = pair.weights_um_per_v, pair.thresholds_v

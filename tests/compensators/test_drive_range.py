@@ -241,6 +241,7 @@ def test_out_of_reach_names_volts_and_positions(stage, capsys):
     assert f"one axis at a time: x {low:.4g} to {high:.4g}" in error
 
 
+@pytest.mark.full
 def test_a_corner_gets_a_filter_with_a_number(tmp_path, capsys):
     axes = AxesDynamics(axes=(Axis(resonance_hz=100.0, damping_ratio=0.02),) * 2)
     model_of(axes).save(tmp_path / "stage.json")

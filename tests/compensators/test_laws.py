@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from export_cases import CASES, case
+from export_cases import CASES, case, marked
 
 from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
@@ -72,13 +72,7 @@ def test_step_by_step_and_in_blocks_it_gives_the_same_bits(model, build, limit):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(export.name, marks=pytest.mark.full)
-        if export.name.startswith("three inputs") and "inverse" in export.law  # compiled for three axes
-        else export.name
-        for export in CASES
-        if export.law != "model"
-    ],
+    [marked(export.name) for export in CASES if export.law != "model"],
 )
 def test_a_step_counts_from_where_the_actuator_starts(name):
     """Working points, starts, more inputs than outputs, dead-zones: a step has the bits of a block."""

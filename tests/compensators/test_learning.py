@@ -66,6 +66,7 @@ def _trials(model, law, path, number, trials=5):
     return simulated_trials(Plant(drawn, instruments), model, law, path, trials, seed=number)
 
 
+@pytest.mark.full
 def test_drawn_actuators_are_learnt_to_the_noise_in_five_trials(model, law, record_property):
     """From 0.3 um and more to 0.1 um on 95 of 100, never worse than before by more than the noise."""
     first, last, worse = [], [], []

@@ -130,6 +130,7 @@ def test_the_printed_equations_stand_on_the_path():
     assert (found - wanted).std() < 0.03 * wanted.std()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("options", [{}, {"filter_hz": 900.0}], ids=["plain", "filtered"])
 def test_a_stream_in_parts_is_the_whole_to_the_last_bit(options):
     law, wanted = law_of(stacks(delay_s=2.5e-4), **options), path(400)
@@ -169,6 +170,7 @@ def test_what_it_cannot_do_is_refused_by_name():
         hammerstein.HammersteinInverse().design(model, limits, TIME_S)
 
 
+@pytest.mark.full
 def test_compensate_gives_voltages_and_the_reach_of_the_loop():
     """A path beyond what the balance of the stops lets the drive's 10 V do is refused with that reach."""
     model = stacks()

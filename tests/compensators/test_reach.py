@@ -20,7 +20,8 @@ def _table(dynamics=None):
     return HammersteinModel("table", hysteresis, dynamics or StaticDynamics(n_outputs=2), 10.0, *NAMES)
 
 
-@pytest.mark.parametrize("axes", [1, pytest.param(2, marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("axes", [1, 2])
 def test_a_kind_without_inverse_reaches_as_far(axes):
     """The same plays in two blocks side by side, which have no exact inverse; not about the rest voltage."""
     range_v, weights = (-2.0, 12.0), np.asarray(theory.W_UM_PER_V)[:axes, :axes]

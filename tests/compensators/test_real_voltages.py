@@ -109,9 +109,10 @@ def path_within(reach_um, samples=4000):
 
 # One input and two, poled either way, resting at either end, moving either way: 1 and 2 are all of it.
 LENGTHY = [pytest.param(seed, marks=pytest.mark.long) for seed in (0, *range(3, 8))]
+TWO_INPUTS = pytest.param(2, marks=pytest.mark.full)
 
 
-@pytest.fixture(scope="module", params=[1, 2, *LENGTHY])
+@pytest.fixture(scope="module", params=[1, TWO_INPUTS, *LENGTHY])
 def identified(request, tmp_path_factory):
     """Model file of an actuator drawn at random, found by the defaults, and its error held back."""
     seed, folder = request.param, tmp_path_factory.mktemp(f"seed_{request.param}")

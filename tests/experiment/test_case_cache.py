@@ -299,6 +299,7 @@ def test_it_belongs_to_the_user_alone(place, tmp_path, capsys):
     assert content(place) == before
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "how",
     [
@@ -358,6 +359,7 @@ def test_the_command_line_runs_only_what_changed(place, tmp_path, worked_out, mo
     assert (tmp_path / "5" / "s" / "traces").is_dir()
 
 
+@pytest.mark.full
 def test_figures_that_were_drawn_are_not_drawn_again(place, tmp_path, monkeypatch):
     """Killed behind the figures, the next run draws none."""
     (tmp_path / "s.toml").write_text(FILE)
@@ -380,6 +382,7 @@ def test_figures_that_were_drawn_are_not_drawn_again(place, tmp_path, monkeypatc
     assert content(tmp_path / "1") == content(tmp_path / "2")
 
 
+@pytest.mark.full
 def test_figures_follow_what_the_assessment_is_about(place, tmp_path):
     """The paper's are of the reading, others of the true position."""
     asked = f'{FILE}\n[assessment]\nkind = "paper"\n'
@@ -469,6 +472,7 @@ def test_two_runs_at_once_share_the_place(place, tmp_path):
     assert all(Store(place).read("".join(path.parts[-2:])) is not None for path in entries(place))
 
 
+@pytest.mark.full
 def test_the_report_that_is_kept_is_the_report(place, tmp_path, capsys):
     text = FILE + '[assessment]\nkind = "paper"\n[[assessment.claims]]\nid = "a"\nstatement = "s"\n'
     text += 'paper = 1.0\nquote = "It is one."\nquantity = { metric = "rms_um" }\n'

@@ -67,6 +67,7 @@ def test_identification_hears_the_sensor_and_not_the_parameters():
     assert c.digest() == d.digest()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "name", [pytest.param("duo_bimorph", marks=pytest.mark.long), "duo_bimorph_resonant"]
 )
@@ -99,6 +100,7 @@ def test_records_of_a_joint_fit_go_from_rest_about_the_middle_of_the_range():
         assert 0.5 * (settled.min() + settled.max()) == pytest.approx(45.0, abs=1.5)
 
 
+@pytest.mark.full
 def test_creep_is_found_from_a_slow_record():
     plant = _plant("duo_bimorph_creep")
     model = identified(plant, JOINT.model_copy(update={"creep_modes": 3}), 1)
@@ -121,6 +123,7 @@ def test_a_voltage_that_the_drive_cuts_is_refused():
         identified(_plant("duo_bimorph"), ClosedFormSpec(amplitude_v=11), 1)
 
 
+@pytest.mark.full
 def test_a_delay_is_not_taken_for_hysteresis_between_coarse_thresholds():
     plant = _plant("duo_bimorph_dense")
     thresholds = 0.18 + 9.7 * np.arange(28) / 28  # nothing moves within the first of them

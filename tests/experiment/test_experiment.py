@@ -347,7 +347,7 @@ PATH = {"kind": "lissajous", "amplitude_um": 20.0, "frequency_x_hz": 60.0, "freq
         ),
     ],
 )
-@pytest.mark.parametrize("samples", [1, 777, 10_000])
+@pytest.mark.parametrize("samples", [777, *(pytest.param(n, marks=pytest.mark.full) for n in (1, 10_000))])
 def test_a_run_in_blocks_is_the_run_in_one_piece(content, samples):
     scenario = _scenario(actuator="duo_bimorph_creep", **LONG, **content)
     if samples == 1:
@@ -441,6 +441,7 @@ def test_samples_may_be_recorded_further_apart_than_a_block_is_long(monkeypatch)
     assert trace.response.drive_v.shape[1] == 2000 // 40
 
 
+@pytest.mark.full
 def test_a_run_of_which_one_in_n_samples_is_recorded(tmp_path):
     """The same numbers as the whole run has on those samples; models predict from every sample."""
     content = {

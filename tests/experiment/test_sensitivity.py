@@ -79,6 +79,7 @@ def test_the_numbers_of_a_draw_make_the_same_actuator():
     assert names == ["weights of x", "weights of y", "creep of x", "creep of y", "noise"]
 
 
+@pytest.mark.full
 def test_what_is_driven_alone_is_the_cause():
     """Along x near its resonance the error is that of x's dynamics; y's resonance moves y alone."""
     report = run(SCENARIO | {"uncertainty": SCENARIO["uncertainty"] | {"sensitivity": 256}})

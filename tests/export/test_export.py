@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from export_cases import CASES, NAMES, case
+from export_cases import CASES, NAMES, case, marked
 from hypothesis import HealthCheck, given, settings, strategies as st, target
 
 from hammerstein.commands.cli import main
@@ -30,15 +30,6 @@ from hammerstein.model import HammersteinModel
 MILLION = 1_000_000
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
-
-
-WIDE = ("three inputs exact_inverse", "three inputs hammerstein_inverse")
-"""Their loops are compiled for three axes, which takes long."""
-
-
-def marked(name):
-    """A case, or one that runs with ``--full``."""
-    return pytest.param(name, marks=pytest.mark.full) if name in WIDE else name
 
 
 WITH_FULL = [marked(name) for name in NAMES]
@@ -267,6 +258,7 @@ def folder(written, tmp_path):
     return Path(shutil.copytree(written, tmp_path / "out"))
 
 
+@pytest.mark.full
 @needs_compiler
 def test_the_folder_tests_itself(folder):
     done = subprocess.run(["make", "check"], cwd=folder, capture_output=True, text=True, check=False)

@@ -178,6 +178,7 @@ def _second(path, folder):
     return found, *names
 
 
+@pytest.mark.full
 def test_every_bit_of_fmi_2_is_that_of_python(older, tmp_path):
     """Steps, and the same steps again from a state that was kept and serialised."""
     code, path = older
@@ -202,6 +203,7 @@ def test_every_bit_of_fmi_2_is_that_of_python(older, tmp_path):
     unit.freeInstance()
 
 
+@pytest.mark.full
 def test_fmpy_simulates_fmi_2_as_fmi_3(older, tmp_path):
     code, path = older
     export = case("model" if code.is_model else "exact_inverse")
@@ -228,6 +230,7 @@ def _played(path, names, values):
     return np.stack([result[name] for name in result.dtype.names[1:]])[:, 1 : samples + 1]
 
 
+@pytest.mark.full
 def test_a_scenario_runs_on_two_units(tmp_path):
     """Law and actuator as units behind each other follow the scenario's reference as the scenario does."""
     compensators = [{"label": "exact", "law": "exact_inverse", "model": "duo_bimorph"}]

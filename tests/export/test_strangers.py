@@ -78,6 +78,7 @@ def active(text):
     return re.findall(rf"(?<!\\)<[a-zA-Z/!]|(?<!\\)\]\((?!{own})|(?<!\\)&\w", outside)
 
 
+@pytest.mark.full
 def test_pages_tables_and_figures_of_a_hostile_scenario(folder, capsys):
     assert call("run", "odd.toml", "--page", "page", "--traces", "csv") == 0
     output = capsys.readouterr()
@@ -220,7 +221,7 @@ def without_comments(name, text):
     return re.sub(r'/\*.*?\*/|"[0-9a-f]{32}"', "", text, flags=re.S)
 
 
-@pytest.mark.parametrize("form", ["c", "fmu"])
+@pytest.mark.parametrize("form", ["c", pytest.param("fmu", marks=pytest.mark.full)])
 def test_no_text_of_a_model_is_code_in_an_export(form):
     own, plain = exported("plain", form)
     for payload in PAYLOADS:

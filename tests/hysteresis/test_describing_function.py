@@ -250,6 +250,7 @@ def test_a_small_motion_decays_and_a_large_one_is_caught(cycles):
     assert min(small.angle_deg, large.angle_deg) > 20.0
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("share", [0.8, 1.25])
 def test_a_simulation_comes_to_the_stable_limit_cycle(plant, controller, cycles, share):
     last = _run(plant, controller, cycles[1], share, 1500)[-500:]

@@ -87,6 +87,7 @@ def test_parts_and_steps_give_the_same_bits(seed, cut):
     assert state.as_dict() == end.as_dict()
 
 
+@pytest.mark.full
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 3))
 def test_the_inverse_puts_coupled_axes_on_any_path(seed, m):

@@ -101,6 +101,7 @@ def test_slopes_of_a_direct_pair_are_held_where_there_were_no_inverse():
     assert bound.rms_um[0] > free.rms_um[0]
 
 
+@pytest.mark.full
 def test_of_two_axes_the_slopes_of_one_are_held_and_the_other_is_as_it_was():
     steep = np.array([[9.0, -0.3], [0.2, 3.0]])
     d = np.array([[5.0, 0.6], [-0.5, 12.0]])

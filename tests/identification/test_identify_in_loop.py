@@ -107,6 +107,7 @@ def test_linear_records_keep_the_linear_model():
         identify_in_loop(records(stack(1e-9)), SHORT)
 
 
+@pytest.mark.full
 def test_an_interrupted_search_goes_on_where_it_was(tmp_path):
     kept, here = tmp_path / "search.json", records()
 

@@ -210,6 +210,7 @@ def test_nothing_is_chosen_by_a_record_that_is_held_back(kind):
     assert fit.validation[fit.kind].mean_percent > 2.0 * first.fit[first.kind].mean_percent
 
 
+@pytest.mark.full
 def test_a_linear_gain_has_the_delay_that_suits_it_beside_every_kind():
     """Of all delays its own, for one of another model is no rival; and so one figure, whatever the kind."""
     late = 3
@@ -231,6 +232,7 @@ def test_a_linear_gain_has_the_delay_that_suits_it_beside_every_kind():
     assert figures == pytest.approx([min(left)] * 3, rel=0.02)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["bouc_wen", "generalised"])
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_resonance_without_dynamics_has_a_model_with_errors_of_its_numbers(kind, seed):

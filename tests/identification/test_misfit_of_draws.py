@@ -24,6 +24,7 @@ def drive():
     return np.concatenate([slow, fast])[None]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("truth", [GROWN, FALLS], ids=["thresholds between those of the model", "no inverse"])
 def test_draws_leave_on_a_record_what_the_model_leaves(truth):
     u = drive()

@@ -138,6 +138,7 @@ def test_a_delay_of_parts_of_a_sample_is_found_beside_lag_and_dead_zones():
     assert model.dynamics.axes[0].lag_s == pytest.approx(1e-3, rel=0.01)
 
 
+@pytest.mark.full
 def test_growth_suits_the_weights_that_it_will_have():
     """A falling weight, which is held at zero: growth and lag are where bounded weights leave least."""
     path = discretise(AxesDynamics(axes=(Axis(lag_s=1e-3),)), T)
@@ -303,6 +304,7 @@ def hardly_creeping(creep_modes):
     return identify([record], Settings(hysteresis="asymmetric", creep_modes=creep_modes, **kept))
 
 
+@pytest.mark.full
 def test_creep_that_is_asked_for_stays_and_is_said_to_be_unsure():
     """With plays it always did; behind other kinds it was left out without a word."""
     [free], [asked] = (hardly_creeping(modes)[0].dynamics.axes for modes in ("auto", 1))

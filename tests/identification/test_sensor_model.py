@@ -39,6 +39,7 @@ def known(late: int, **options) -> Settings:
 MORE = [pytest.param(*each, marks=pytest.mark.long) for each in ((8, 8), (19, 0), (6, 0))]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("sensor", "actuator"), [(19, 5), *MORE])
 def test_a_known_delay_of_the_sensor_is_not_the_actuators(sensor, actuator):
     model, fit = identify(late_records(sensor + actuator), known(sensor))

@@ -141,6 +141,7 @@ def test_a_lone_breakpoint_is_as_unsure_wherever_the_voltage_is_counted_from():
         assert other[1] == pytest.approx(errors, rel=0.3)  # of eight draws
 
 
+@pytest.mark.full
 def test_the_errors_of_an_axis_in_the_report_are_those_in_the_model_file():
     """They hold beside thresholds that are not sure; those of the axis alone are smaller."""
     axes = AxesDynamics(axes=(Axis(resonance_hz=90.0, damping_ratio=0.1),))
@@ -191,6 +192,7 @@ def test_file_and_report_hold_them(identified):
     assert HammersteinModel.from_json(json.dumps(content)).covariance is None
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("operators", [3, 6])
 def test_no_delay_stands_in_for_thresholds_not_yet_fitted(operators, identified):
     """With so few thresholds where the time partition puts them, one sample of delay fits better."""

@@ -37,6 +37,7 @@ def all_weights(fit):
     return np.concatenate([pair.weights_um_per_v for pair in fit.hysteresis.pairs[0]])
 
 
+@pytest.mark.full
 def test_covariance_is_that_of_refits():
     fits = [refitted(seed) for seed in range(400)]
     scatter = np.cov(np.array([all_weights(fit) for fit in fits]).T)
@@ -125,6 +126,7 @@ def test_a_covariance_of_other_weights_is_refused():
         PrandtlIshlinskii([[Pair([0.0], [1.0])]], (WeightCovariance(np.eye(2)),))
 
 
+@pytest.mark.full
 def test_draws_of_an_actuator_scatter_as_refits_do():
     """Half height of the loop: errors of neighbouring weights cancel, which draws one by one would miss."""
     fits = [refitted(seed) for seed in range(300)]

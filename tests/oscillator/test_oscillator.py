@@ -54,6 +54,7 @@ def in_loop(gamma, a=((0.0, 1.0), (-0.85, 1.6))):
     return OpenLoop(block, {"A": np.array([[False, False], [True, True]]), "E": np.array([[False], [True]])})
 
 
+@pytest.mark.full
 def test_a_loop_with_bouc_wen_is_found_again():
     """From numbers that are 10 to 30 % off, to a hundred-thousandth of the swing."""
     truth = in_loop(BoucWen([[BoucWenPair(2.0, 1.0, 0.5, 0.1)]]))

@@ -46,6 +46,7 @@ def test_the_resonance_is_predicted_at_amplitudes_that_no_record_has():
         assert abs(true - at_rest) > 2e-3 * true
 
 
+@pytest.mark.long
 def test_three_axes_sampled_twice_as_fast_are_identified():
     """Every level is among what is fitted and among what is held back, and no mode imitates a level."""
     stacks, _ = at_random(3, 2.0 * PER_RESONANCE)

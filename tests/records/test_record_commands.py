@@ -254,6 +254,7 @@ def test_a_person_is_asked_about_a_gain(records, capsys, monkeypatch):
     assert asked[0].endswith("outside 0.001 to 1000 um/V. Is this right?")
 
 
+@pytest.mark.full
 def test_records_have_folders_of_their_own(records, tmp_path):
     call = ("loops", *records, *COLUMNS, "--rate", 20000, "--out", tmp_path)
     assert _call(*call) == 0
@@ -303,6 +304,7 @@ def test_a_loop_that_turns_backwards_is_no_hysteresis(tmp_path, capsys, monkeypa
     assert ("runs backwards (width -82 %)" in capsys.readouterr().err) is said
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("case", ["swapped", "noise", "copy"])
 def test_loops_ask_the_doubts_of_identify(tmp_path, capsys, monkeypatch, case):
     """A width of -12 %, a gain of 0.002, a copy of the voltage: each was a table with exit 0."""

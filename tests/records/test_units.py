@@ -247,6 +247,7 @@ def test_a_jump_that_is_accepted_is_fitted(tmp_path):
     assert _ended([*line, "--dynamics", "none", "--out", str(tmp_path / "m.json")]) == 0
 
 
+@pytest.mark.full
 def test_seconds_taken_for_microseconds_are_told_and_fitted(tmp_path, capsys):
     """4 s under ``t [us]``: a rate of 1 GHz, at which a lag of a part of a sample is none of an axis."""
     _written(tmp_path / "r.csv", "t [us],u [V],y [um]", STEADY, DRIVEN, MOVED)

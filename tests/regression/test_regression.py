@@ -373,6 +373,7 @@ def test_a_baseline_holds_no_nan(accepted: Path) -> None:
     assert check_files([Path("scenarios/small.toml")]).exit_code == InputError.exit_code
 
 
+@pytest.mark.full
 def test_what_is_written_depends_neither_on_jobs_nor_on_the_folder(accepted: Path) -> None:
     elsewhere = Path("elsewhere")
     result = check_files([Path("scenarios")], elsewhere, update=True, jobs=2)

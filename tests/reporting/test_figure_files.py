@@ -33,6 +33,7 @@ LARGEST_KEPT_BYTES = 55_000
 """Of a picture in this repository: three have eight panels, one of them crossing curves."""
 
 
+@pytest.mark.full
 def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: Path) -> None:
     report = report_of(reference=CIRCLE, compensators=[NONE])
     first = save_figures(figures_of(report), tmp_path / "a")
@@ -44,6 +45,7 @@ def test_files_are_the_same_every_time_and_whatever_the_user_s_style(tmp_path: P
     assert "dc:date" not in first[0].read_text()
 
 
+@pytest.mark.full
 def test_a_line_drawing_is_a_small_file_in_the_hues_of_its_inks() -> None:
     for figure in (figures_of(loops()) | figures_of(circles())).values():
         drawn = png_of(figure)
@@ -93,6 +95,7 @@ def test_a_pale_band_keeps_its_colour_beside_others() -> None:
         np.testing.assert_allclose(drawn[-y, x], colour, atol=1.0)
 
 
+@pytest.mark.full
 def test_threads_draw_the_same_as_one_alone() -> None:
     def drawn(report: Report) -> list[bytes]:
         return [svg_of(figure) for figure in figures_of(report).values()]
@@ -128,6 +131,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         save_figures(figures_of(loops()), tmp_path / "file")
 
 
+@pytest.mark.full
 def test_drawing_needs_no_window_and_importing_no_matplotlib() -> None:
     code = """
 import sys

@@ -104,6 +104,7 @@ def test_a_cut_drive_is_in_the_text(model):
     assert "the range clipped 2 samples" in repr(cut)
 
 
+@pytest.mark.full
 def test_pictures_stand_in_the_page_itself(model, response, record):
     for value in (model, response, record):
         html, image = _picture(value)
