@@ -513,6 +513,18 @@ def test_many_statements_are_cut_short() -> None:
     assert "* statement 14\n* 25 more statements are in `report.json`." in page
 
 
+def test_claims_that_are_undecided_are_counted_as_such() -> None:
+    asked = {"kind": "paper", "claims": [CLAIM]}
+    report = report_of(drive=SINE_V, assessment=asked)
+    (judged,) = report.judgements
+    open_ = replace(judged, simulated=(replace(judged.simulated[0], agrees=None),))
+    for judgements, words in (
+        ((judged,), "1 of 1 claims met"),
+        ((judged, open_), "1 of 2 claims met, 1 undecided"),
+    ):
+        assert run_page(replace(report, judgements=judgements)).verdict.words == words
+
+
 def test_claims_come_after_the_figures_and_name_other_actuators_in_their_details() -> None:
     asked = {"kind": "paper", "claims": [CLAIM], "also_on": [{"actuator": "duo_bimorph"}]}
     page = run_page(report_of(drive=SINE_V, assessment=asked), ["loops.svg"]).markdown()
@@ -522,5 +534,5 @@ def test_claims_come_after_the_figures_and_name_other_actuators_in_their_details
         for start in ("| claim", "| C1")
     )
     assert "reason" not in heads  # empty in every line
-    assert re.fullmatch(r"11\d", line[heads.index("simulated")])
+    assert re.fullmatch(r"11\d um", line[heads.index("simulated")])
     assert "Other actuators: duo" in line[heads.index("details")]
