@@ -45,8 +45,8 @@ CAPTIONS = {
     ),
     "operators": (
         "Error against the number of operators",
-        "Lines: cross-validation error against the number of operators, without fitted thresholds; for "
-        "another hysteresis, of plays and without automatic dynamics. The grey bar and the star mark this "
+        "Lines: cross-validation error against the number of operators, without fitted thresholds. For "
+        "another hysteresis they are of plays, without automatic dynamics. The grey bar and star mark this "
         "model; the legend gives its records, and whether its thresholds are fitted.",
     ),
     "response": (

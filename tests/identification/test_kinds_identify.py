@@ -57,7 +57,7 @@ def test_a_block_without_dead_zones_is_plays_and_nothing_is_said_to_lie_beyond_t
     """A page said that hysteresis beyond plays improves a model that had none."""
     given = {"thresholds_v": R, "delay_samples": 0, "error_curve": False, "dead_zones": 0}
     _, fit = identify([record_of(9, 1)], Settings(hysteresis="asymmetric", **given))
-    assert "the same with plays alone" in fit.verdict
+    assert "this model with plays alone" in fit.verdict
     assert "beyond plays" not in fit.verdict
     assert "no dead-zones: this hysteresis is of plays alone" in fit.notes
 
