@@ -177,5 +177,6 @@ JOINT = "\u00a0"  # a space at which no line ends
 
 
 def unbroken(text: str) -> str:
-    """Text in which no line ends between a number and its unit."""
-    return re.sub(r"(?<=\d) (?=(?:µm|um|nm|V|k?Hz|min|[mu]?s|%)(?!\w))", JOINT, text)
+    """Text in which no line ends between a number and its unit, sign, or the word that it numbers."""
+    unit, sign = r"(?<=\d) (?=(?:µm|um|nm|V|k?Hz|min|[mu]?s|%)(?!\w))", r"(?:(?<=[<±])|(?<=\btrial)) (?=\d)"
+    return re.sub(f"{unit}|{sign}", JOINT, text)

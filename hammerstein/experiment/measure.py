@@ -15,7 +15,7 @@ from hammerstein.arrays import Array
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.dynamics import AxesDynamics, StaticDynamics, on_grid
 from hammerstein.errors import HammersteinError, SimulationError
-from hammerstein.experiment.report import Target, Trace
+from hammerstein.experiment.report import Condition, Target, Trace, told_apart
 from hammerstein.experiment.set_up import Case, SetUp, Window
 from hammerstein.hysteresis import Memory
 from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
@@ -394,9 +394,8 @@ def _far_from_home(setup: SetUp, results: Sequence[Result]) -> list[str]:
         if plant.voltages is not None:
             used[SIMULATED] = plant.voltages, FAR_ITSELF
         for label, (known, why) in used.items():
-            for name, row, low, high in zip(
-                plant.inputs, drive, known.lowest_v, known.highest_v, strict=True
-            ):
+            limits = zip(plant.inputs, drive, known.lowest_v, known.highest_v, strict=True)
+            for name, row, low, high in limits:
                 excess = max(float(row.max()) - high, low - float(row.min()))
                 if excess > max(BEYOND * (high - low), farthest.get(label, (0.0, ""))[0]):
                     went = f"the drive goes from {row.min():.4g} to {row.max():.4g} V on {name}"
@@ -416,25 +415,20 @@ def _sampling(setup: SetUp) -> Iterator[str]:
             f"{100.0 * HOLD_SHARE:g} % above {HOLD_SHARE / (math.pi * step):.3g} Hz. "
         )
         if isinstance(setup.plant.model.dynamics, StaticDynamics):
-            yield held + (
-                "Without dynamics, this error occurs between the samples only; the numbers "
-                "in this report are errors at the samples."
+            yield (
+                held
+                + "Without dynamics, it occurs between the samples only; the numbers here are at samples."
             )
         else:
             yield held + "Only a law or a model with dynamics accounts for it."
     for source in (*scenario.compensators, *scenario.models):
         own = getattr(source.identification, "sample_time_s", None)
         if own is not None and not math.isclose(own, step):
-            yield (
-                f"{source.label}: identified at a sample time of {interval(own)}, run at "
-                f"{interval(step)}; the model does not contain this difference."
-            )
+            both = f"identified at a sample time of {interval(own)}, run at {interval(step)}"
+            yield f"{source.label}: {both}; the model does not contain this difference."
     every = scenario.measure.record_every
     if every is not None:
-        yield (
-            f"One of {every} samples was recorded, one every {1e3 * every * step:g} ms; all "
-            "numbers are from these samples."
-        )
+        yield f"One of {every} samples was recorded, every {interval(every * step)}; numbers are from these."
 
 
 def hold_share(frequency_hz: float, sample_time_s: float) -> float:
@@ -464,13 +458,15 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
     statements += _far_from_home(setup, results)
     statements += _sampling(setup)
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])
+    places = told_apart([Condition.of(result.rows[0]) for result in results])
     for result in results:
         row = result.rows[0]
         axis = "all axes" if row.excited_axis == "all" else f"axis {row.excited_axis}"
         run = row.compensator if setup.scenario.compensators else setup.plant.model.name  # models share it
-        where = f"{run}{row.at}, {axis}"
+        at = places[Condition.of(row)]
+        where = f"{run}{f' at {at}' * bool(at)}, {axis}"
         if result.unsettled:
-            statements.append(f"{where}: the loop has not settled; {result.unsettled}.")
+            statements.append(f"{where}: the position has not settled; {result.unsettled}.")
         if cut := row.saturated_samples:
             statements.append(f"{where}: the drive's range clipped {cut} sample{'s' * (cut != 1)}.")
         if result.clipped:

@@ -39,6 +39,8 @@ PLAYS = (10, 15, 20, 30, 60)
 """Numbers of plays of an input that are tried: each grid holds some of the thresholds of the last one."""
 DEAD_ZONES = (0, 1, 2, 3, 5, 7, 11, 23)
 """Numbers of dead-zones of an input that are tried, in the same way."""
+PLAYS_ALONE = "no dead-zones: this hysteresis is of plays alone"
+"""Note on a block without them."""
 BESIDE = 7
 """Dead-zones beside which the number of plays is found."""
 
@@ -410,7 +412,8 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
         """Return the number of dead-zones."""
-        return [f"{self.lines.n.max(initial=0)} dead-zones for each input beside the plays"]
+        most = self.lines.n.max(initial=0)
+        return [f"{most} dead-zones for each input beside the plays"] if most else [PLAYS_ALONE]
 
     def file(self) -> AsymmetricFile:
         """Form in a model file; the voltages of the file hold the working point."""

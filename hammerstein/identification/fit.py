@@ -23,7 +23,7 @@ KIND_NAMES: Mapping[Kind, str] = {
     "linear": "linear gain",
     "static_hysteresis": "static hysteresis",
     "linear_dynamics": "linear dynamics alone",
-    "classical": "the same with plays alone",
+    "classical": "this model with plays alone",
     "hammerstein": "Hammerstein",
     "in_loop": "hysteresis in the loop",
 }

@@ -13,6 +13,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics
 from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis.asymmetric import PLAYS_ALONE
 from hammerstein.identification.excitation import excitation_statements
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.linear.axis_fit import AxisFit
@@ -33,11 +34,7 @@ from hammerstein.identification.score import Candidate, Score, invertibility_of,
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import direct_pairs, half_swing
 from hammerstein.identification.task import CandidateSet, FittedModel, Task
-from hammerstein.identification.verdict import (
-    axis_statements,
-    bound_notes,
-    verdict,
-)
+from hammerstein.identification.verdict import axis_statements, bound_notes, verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.records.faults import Fault
@@ -80,7 +77,7 @@ def fit_of(
     fitted, judged, held, held_starts, response, trials = errors
     record, settings, best = task.records[0], task.settings, built.best.candidate
     named = faults_left(best, task.records, task.starts)
-    flags = _flags(task, built, named)
+    flags, plain = _flags(task, built, named), PLAYS_ALONE in built.notes
     where = (held, held_starts) if held else (task.records, task.starts)
     residual = residual_statements(best, *where, settings)
     swing = half_swing(task.records)
@@ -117,7 +114,9 @@ def fit_of(
         ),
         invertible=invertible,
         invertibility=sentence,
-        verdict=verdict(judged or fitted, bool(judged), flags, settings.dynamics, built.kind, residual),
+        verdict=verdict(
+            judged or fitted, bool(judged), flags, settings.dynamics, built.kind, residual, plain
+        ),
         candidates=built.candidates,
         alone=built.alone,
         other_kinds=bool(residual) and settings.hysteresis == "prandtl_ishlinskii" and not untried(settings),

@@ -31,11 +31,13 @@ def verdict(
     dynamics: str = "none",
     kept: Kind | None = None,
     residual: Sequence[str] = (),
+    plain: bool = False,
 ) -> str:
     """Sentences on the blocks that improve the model, from the mean errors of the kinds of model.
 
     Errors beyond noise come first. ``dynamics`` is the requested option: if the records do not identify any,
-    the verdict says so. ``kept`` is the kind in the model file; if not given, the largest.
+    the verdict says so. ``kept`` is the kind in the model file; if not given, the largest. ``plain``: it has
+    plays alone, although another hysteresis was requested, so that nothing is said of what lies beyond plays.
 
     Examples
     --------
@@ -62,7 +64,7 @@ the model: it lowers the error from 7.4 to 0.8 %.
         sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["classical"]))
     else:
         sentences.append(_improves("Hysteresis", errors["linear"], errors["static_hysteresis"]))
-    if "classical" in errors:
+    if "classical" in errors and not plain:
         best = errors.get("hammerstein", errors["static_hysteresis"])
         sentences.append(_improves("Hysteresis beyond plays", errors["classical"], best))
     static = kept in ("linear", "static_hysteresis") or "hammerstein" not in errors

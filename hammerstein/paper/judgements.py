@@ -176,7 +176,7 @@ class ClaimJudgement(Judgement):
             "statement": self.statement,
             "reason": self.reason,
             "paper": self.printed,
-            "simulated": own.shown,
+            "simulated": f"{own.shown} {self.unit * own.shown[-1:].isdigit()}".strip(),
             "ratio": self.ratio,
             "wanted": self.wanted,
             "judgement": self.word,

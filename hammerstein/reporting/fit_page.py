@@ -45,9 +45,9 @@ CAPTIONS = {
     ),
     "operators": (
         "Error against the number of operators",
-        "Lines: cross-validation error against the number of operators, without fitted thresholds. "
-        "The grey bar and the star mark this model; the legend gives its records, and whether its "
-        "thresholds are fitted.",
+        "Lines: cross-validation error against the number of operators, without fitted thresholds. For "
+        "another hysteresis they are of plays, without automatic dynamics. The grey bar and star mark this "
+        "model; the legend gives its records, and whether its thresholds are fitted.",
     ),
     "response": (
         "Gain over frequency",

@@ -131,16 +131,18 @@ def _conditions(report: Report) -> str:
     """Signal, amplitude and frequency, such as ``circle, 50 um, 50 to 200 Hz``."""
     conditions = [Condition.of(row) for row in _within_range(report)]
     sizes = [c.amplitude for c in conditions if c.amplitude is not None]
-    parts = [report.scenario.signal.kind, _span(sizes, conditions[0].unit if sizes else "")]
+    parts = [
+        report.scenario.signal.kind.replace("lissajous", "Lissajous"),
+        _span(sizes, conditions[0].unit if sizes else ""),
+    ]
     return ", ".join(part for part in [*parts, _span([c.frequency_hz for c in conditions], "Hz")] if part)
 
 
 def _span(values: Sequence[float], unit: str) -> str:
     """Lowest and highest value; empty where there are none but zeros."""
     known = sorted({value for value in values if value})
-    return (
-        f"{' to '.join(f'{v:g}' for v in dict.fromkeys([*known[:1], *known[-1:]]))} {unit}" if known else ""
-    )
+    ends = dict.fromkeys([*known[:1], *known[-1:]])
+    return f"{' to '.join(f'{v:g}' for v in ends)} {unit}" if known else ""
 
 
 def _told(report: Report) -> str:

@@ -30,6 +30,8 @@ MOST_BESIDE = 4
 """Columns that fit beside each other on a telephone."""
 FOLDED = "details"
 """Column whose cells open at a click."""
+LEVEL = 8
+"""Letters of a head that a telephone does not turn upright in such a table."""
 LONGEST_NUMBER = 36
 """Characters of a cell; a longer one holds words."""
 
@@ -70,6 +72,7 @@ def rendered(template: str, **content: Any) -> str:
 def environment() -> Environment:
     """Templates of the pages."""
     found = templates_of("hammerstein", Markup)
+    found.filters["unbroken"] = unbroken
     found.globals |= {"style": _own_file(found, "page.css"), "script": _own_file(found, "page.js")}
     return found
 
@@ -133,7 +136,10 @@ def _tabulated(tokens: Sequence[Token]) -> None:
             continue
         stop = next(i for i in range(start, len(tokens)) if tokens[i].type == "table_close")
         inside, close = tokens[start:stop], tokens[stop]
-        heads = [text.content for head, text in pairwise(inside) if head.type == "th_open"]
+        named = [(head, text.content) for head, text in pairwise(inside) if head.type == "th_open"]
+        heads = [text for _, text in named]
+        for head in (head for head, text in named if len(text) > LEVEL):
+            head.attrSet("class", "upright")
         cells = [(cell, text) for cell, text in pairwise(inside) if cell.type == "td_open"]
         for number, (cell, text) in enumerate(cells):
             cell.attrSet("data-name", heads[number % len(heads)])

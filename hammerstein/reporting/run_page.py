@@ -21,35 +21,35 @@ from hammerstein.reporting.summary import sentences
 from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
 
-# What a figure is and how to read it, by the first words of its file name; longer ones first.
+# What a figure is and how to read it, by the first words of its file name; longer ones first. The order is
+# that of the page: what is compared first, then its errors, the true position before the reading.
 TITLES = {
-    "trials_true": "Error of the true position against trial",
-    "trials": "Error against trial",
-    "sweep_true": "Error of the true position against frequency",
-    "sweep": "Sweep over frequency",
-    "operators": "Error against the number of operators",
-    "loops": "Loops",
-    "errors": "Errors over time",
     "drift": "Drift",
-    "sensitivity": "Causes of the spread",
+    "loops": "Loops",
     "path": "Path",
+    "operators": "Error against the number of operators",
+    "trials_true": "Error of the true position against trial",
+    "trials": "Error of the sensor's reading against trial",
+    "sweep_true": "Error of the true position against frequency",
+    "sweep": "Error of the sensor's reading against frequency",
+    "errors": "Errors over time",
+    "sensitivity": "Causes of the spread",
 }
 CAPTIONS = {
     "sensitivity": "Shares of the variance over the drawn actuators, for each compensator, at the condition "
     "with the highest 95 % limit. Dark: the parameter alone. Pale: with its interactions. Thin: 95 % limits. "
     "Correlated errors of the weights of one axis count as one parameter.",
     "sweep_true": "One panel for each transfer, one curve for each compensator.",
-    "sweep": "The sensor's reading. One panel for each transfer, one curve for each compensator or model.",
+    "sweep": "One panel for each transfer, one curve for each compensator or model.",
     "trials_true": "One panel for each measured axis. Trial 1 is without learning; each later trial corrects "
     "the voltages with the sensor readings of the previous one.",
-    "trials": "The same, from the sensor's readings.",
+    "trials": "One panel for each measured axis.",
     "operators": "Rms error of models that differ only in their number of play operators.",
     "loops": "One row of panels for each measured axis, one column for each driven axis. Each curve is the "
     "mean of the measured cycles.",
     "errors": "The legend gives the worst error of all measured cycles.",
     "drift": "Mean error of the true position over each measured cycle, for the driven axis.",
-    "path": "Short dashes show the reference or prediction. The legend gives the worst distance of all "
-    "measured cycles.",
+    "path": "Short dashes: the reference or prediction. The legend gives the worst distance of all cycles.",
 }
 
 IS_TRUE = '"True" is the actuator\'s position, without the sensor.'
@@ -57,6 +57,8 @@ NOT_PREDICTED = "An error is the sensor's reading minus the prediction."
 FIRST_DISTANCE = "The distance from the reference has a logarithmic axis where one curve would hide another."
 READS_TRUTH = "The sensor is ideal: it reads the true position."
 
+RUN = re.compile(r"(.+) at (.+), (axis \S+|all axes)")
+"""Label, place and axis in a statement on a run."""
 MOST_STATEMENTS = 15
 """Of a page; `report.json` has all."""
 
@@ -65,9 +67,7 @@ KEYS = {
     "compensator": "label of the compensator or model in the scenario; empty if the actuator is alone",
     "excited_axis": 'driven axis, with the others at zero; "all" if they were driven together',
     "measured_axis": "axis of the position",
-    "frequency_hz": (
-        "frequency of the signal [Hz], the higher one if it has two; 0 for a signal from a file"
-    ),
+    "frequency_hz": "frequency of the signal [Hz], the higher if it has two; 0 for a signal from a file",
     "amplitude_v": "amplitude or radius of the driving voltage [V]",
     "amplitude_um": "amplitude or radius of the reference [um]",
     "trial": "trial of a compensator that learns; the first is without learning",
@@ -95,7 +95,8 @@ def run_page(report: Report, figures: Iterable[str] = ()) -> Page:
     scenario, judged = report.scenario, report.judgements
     asked = scenario.assessment
     place = "" if asked is None else asked.place()
-    met = sum(judgement.agrees for judgement in judged)
+    met, open_ = sum(j.agrees for j in judged), [j.word for j in judged].count("undecided")
+    claims = f"{met} of {len(judged)} claims met{f', {open_} undecided' * bool(open_)}"
     begun = place[:1].upper() + place[1:]
     printed = Markdown("{} (*{}*).").format(begun, asked.source()) if asked and place else ""
     return Page(
@@ -107,7 +108,7 @@ def run_page(report: Report, figures: Iterable[str] = ()) -> Page:
         answer=_answer(report),
         body=_body(report, sorted((name for name in figures if name.endswith(".svg")), key=place_of)),
         facts=list(_facts(report)),
-        verdict=Judged(f"{met} of {len(judged)} claims met", met == len(judged)) if judged else None,
+        verdict=Judged(claims, met == len(judged)) if judged else None,
         numbers=list(_number_files(report)),
     )
 
@@ -171,7 +172,8 @@ def _facts(report: Report) -> Iterator[str]:
     found = sorted({row.frequency_hz for row in report.rows if row.frequency_hz})
     if found:
         yield f"{found[0]:g} Hz" if len(found) == 1 else f"{found[0]:g} to {found[-1]:g} Hz"
-    yield f"{scenario.signal.kind} {'in V' if scenario.drive is not None else 'in um'}"
+    kind = scenario.signal.kind.replace("lissajous", "Lissajous")
+    yield f"{kind} {'in V' if scenario.drive is not None else 'in um'}"
 
 
 def _number_files(report: Report) -> Iterator[NumberFile]:
@@ -193,7 +195,26 @@ def gathered(statements: Sequence[str]) -> list[str]:
     for statement in statements:
         of, _, said = statement.partition(": ")
         about.setdefault(said or statement, []).extend([of] if said else [])
-    return ["; ".join(dict.fromkeys(of)) + ": " * bool(of) + said for said, of in about.items()]
+    return ["; ".join(_merged(dict.fromkeys(of))) + ": " * bool(of) + said for said, of in about.items()]
+
+
+def _merged(things: Iterable[str]) -> Iterator[str]:
+    """Runs that differ in their axis or label alone, as one; other things as they are.
+
+    >>> list(_merged(["a at 5 Hz, axis x", "a at 5 Hz, axis y", "b at 5 Hz, axis x", "b at 5 Hz, axis y"]))
+    ['a; b, all at 5 Hz, axis x and axis y']
+    """
+    runs: dict[str, dict[str, list[str]]] = {}
+    for thing in things:
+        if found := RUN.fullmatch(thing):
+            label, place, axis = found.groups()
+            runs.setdefault(place, {}).setdefault(label, []).append(axis)
+        else:
+            yield thing
+    for place, axes in runs.items():
+        for each in dict.fromkeys(map(tuple, axes.values())):
+            labels = [label for label, own in axes.items() if tuple(own) == each]
+            yield f"{'; '.join(labels)}{', all' * (len(labels) > 1)} at {place}, {' and '.join(each)}"
 
 
 def _kind(name: str) -> str:
@@ -202,22 +223,15 @@ def _kind(name: str) -> str:
 
 
 def place_of(name: str) -> tuple[int, str]:
-    """Order on the page: what is compared first, then its errors, the true position before the reading."""
-    order = (
-        *("drift", "loops", "path", "operators", "trials_true", "trials", "sweep_true", "sweep"),
-        *("errors", "sensitivity", ""),
-    )
-    return order.index(_kind(name)), name
+    """Order on the page."""
+    return [*TITLES, ""].index(_kind(name)), name
 
 
 def figure_of(name: str, report: Report) -> Shown:
     """What the figure of a file is, and how to read it."""
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
-    banded = [
-        "A line with a band or bars shows the median and 5 to 95 % of the drawn actuators, beside the "
-        "nominal one."
-    ] * bool(report.bands)
+    banded = ["Median and 5 to 95 % of the drawn actuators, beside the nominal one."] * bool(report.bands)
     identified = ["A star marks the frequency at which a model was identified."] * bool(identified_at(report))
     drawn = (*report.scenario.compensators, *report.scenario.models)
     behind = ["Grey curves belong to the other panels."] * (len(drawn) > MOST_CURVES)

@@ -119,7 +119,7 @@ def _answered(report: Report, quote: Quote) -> Sentence | None:
 
 
 def _uncertain(report: Report, contest: Contest) -> Sentence | None:
-    """Median and 95 % limit over the drawn actuators, where each label is worst; the nominal one beside."""
+    """Median and 95 % limit over the drawn actuators, and the nominal one: the worst of each."""
     if not report.bands or report.scenario.uncertainty is None:
         return None
     metric, words = banded_metric(report)
@@ -129,11 +129,11 @@ def _uncertain(report: Report, contest: Contest) -> Sentence | None:
     for band in bands:
         runs.setdefault((band.trial, band.compensator), []).append(band)
     rows = []
-    for trial, label in runs:
-        worst = max(runs[trial, label], key=lambda band: band.p95_um)
+    for (trial, label), own in runs.items():
         name = contest.named(label) + ("" if trial is None else f", trial {trial}")
-        rows.append((name, *map(number, (worst.median_um, worst.p95_um, nominal[worst.place]))))
-    at = ", at the worst frequency" if len({row.frequency_hz for row in report.rows}) > 1 else ""
+        each = zip(*((band.median_um, band.p95_um, nominal[band.place]) for band in own), strict=True)
+        rows.append((name, *(number(max(values)) for values in each)))
+    at = ", each number at its worst frequency" if len({row.frequency_hz for row in report.rows}) > 1 else ""
     return Sentence(
         f"The {words} of the true position for {report.scenario.uncertainty.draws} random actuators{at}:",
         (("[um]", "median", "95 % limit", "nominal actuator"), *rows),
@@ -149,8 +149,8 @@ def _compared(report: Report, contest: Contest) -> Sentence:
         name, words = f"{prefix}{name}", f"worst {words} of the {of} from the {target}"
         groups: list[list[Row]] = [list(report.rows)]
     else:
-        reads = report.reading_first or report.reads_truth
-        name, words = ("rms_um", "rms error") if reads else ("rms_true_um", "rms error of the true position")
+        name, of = ("rms_um", "reading") if report.reading_first else ("rms_true_um", "true position")
+        words = f"rms error of the {'predicted ' * (target == 'prediction')}{of}"
         direct = [row for row in report.rows if is_direct(report, row)]
         groups = [direct, [row for row in report.rows if not is_direct(report, row)]]
     kinds = [{c: _values(rows, name) for c, rows in by_condition(group).items()} for group in groups if group]
@@ -241,13 +241,12 @@ def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
         return f"{quote(winners[0])} throughout"
     if len(groups) > MOST_RANGES:
         most = max(dict.fromkeys(winners), key=winners.count)
-        return f"{quote(most)} in {winners.count(most)} of {len(winners)} runs"
-    return listed(
-        [
-            f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
-            for label, inside in groups
-        ]
-    )
+        return f"{quote(most)} at {winners.count(most)} of {len(winners)} points of the sweep"
+    told = [
+        f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
+        for label, inside in groups
+    ]
+    return listed(told)
 
 
 def _loops(report: Report) -> Sentence:
@@ -266,29 +265,28 @@ def _loops(report: Report) -> Sentence:
         if cross is not None:
             lines.setdefault("largest cross-coupling, height [um]", []).append(number(cross))
     head = ("loop", *(condition.words() for condition in ends))
-    return Sentence(
-        "The loops of the sensor's reading:", (head, *((n, *cells) for n, cells in lines.items()))
-    )
+    told = ((name, *cells) for name, cells in lines.items())
+    return Sentence("The loops of the sensor's reading:", (head, *told))
 
 
 def _grouped(runs: Sequence[str]) -> str:
     """Runs by their compensator or model, such as ``paper (3 runs, 15 to 40 Hz)``."""
-    found: dict[str, list[float]] = {}
+    found: dict[str, list[tuple[float, str]]] = {}
     for run in runs:
-        label, _, place = run.rpartition(" at ")
-        hertz = re.match(r"([\d.e+-]+) Hz", place)
-        found.setdefault(label or run, []).extend([float(hertz[1])] if hertz else [])
+        label, _, place = run.partition(": ")[0].rpartition(" at ")
+        at = re.match(r"([\d.e+-]+) (Hz|um|V)", place)
+        found.setdefault(label or place, []).extend([(float(at[1]), at[2])] if at else [])
     if len(found) >= MOST_LABELS:
-        return f"{len(found)} methods{_spread([f for hertz in found.values() for f in hertz])}, listed below"
-    return "; ".join(f"{label}{_spread(hertz)}" for label, hertz in found.items())
+        return f"{len(found)} methods{_spread([at for own in found.values() for at in own])}, listed below"
+    return "; ".join(f"{label}{_spread(own)}" for label, own in found.items())
 
 
-def _spread(hertz: Sequence[float]) -> str:
-    """Number of runs and their frequencies, in brackets."""
-    if not hertz:
+def _spread(places: Sequence[tuple[float, str]]) -> str:
+    """Number of runs and their frequencies or sizes, in brackets."""
+    if not places:
         return ""
-    ends = " to ".join(f"{f:g}" for f in dict.fromkeys([min(hertz), max(hertz)]))
-    return f" ({len(hertz)} run{'s' * (len(hertz) > 1)}, {ends} Hz)"
+    ends = " to ".join(f"{value:g}" for value, _ in dict.fromkeys([min(places), max(places)]))
+    return f" ({len(places)} run{'s' * (len(places) > 1)}, {ends} {places[0][1]})"
 
 
 def doubts(report: Report) -> list[str]:
@@ -299,10 +297,7 @@ def doubts(report: Report) -> list[str]:
 def _conduct(report: Report) -> Iterator[str]:
     """Whether the drive's range was enough, and whether what repeats had settled."""
     if any(ITSELF in text for text in report.statements):
-        yield (
-            "A law designed from the simulated actuator itself has a perfect model, which no real "
-            "actuator offers."
-        )
+        yield "A law designed from the simulated actuator itself has a perfect model, unlike a real one."
     if flagged := [text.partition(FLAGGED)[0] for text in report.statements if FLAGGED in text]:
         yield f"Flagged by {'its' if len(flagged) == 1 else 'their'} fit report: {', '.join(flagged)}."
     if any(GUESSED in text for text in report.statements):
@@ -311,19 +306,20 @@ def _conduct(report: Report) -> Iterator[str]:
     runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
     cut = sum(bool(row.saturated_samples) for row in runs.values())
     clipped = sum(SENSOR_CUT in statement for statement in report.statements)
-    unsettled = [text.partition(": ")[0] for text in report.statements if NOT_SETTLED in text]
+    unsettled = [text for text in report.statements if NOT_SETTLED in text]
     some = f"The drive's range clipped the voltage in {cut} of {len(runs)} runs."
     yield some if cut else "No voltage was clipped."
     if clipped:
         yield f"The sensor's range clipped the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
     if unsettled:
-        helps = any(NOT_SETTLED in text and NEVER_SETTLES not in text for text in report.statements)
-        after = (
-            "raise settle_cycles or settle_s in [measure]" if helps else "more cycles do not help, see below"
+        never = sum(NEVER_SETTLES in text for text in unsettled)
+        after = "raise settle_cycles or settle_s in [measure]" + f" (does not help {never} of them)" * bool(
+            never
         )
+        after = after if never < len(unsettled) else "more cycles do not help, see below"
         named = f"{len(unsettled)} of {len(runs)} runs had not settled: {_grouped(unsettled)}"
         named = named if len(unsettled) != len(runs) else "No run had settled"
-        yield f"{named}. These figures still change; {after}."
+        yield f"{named}. These numbers still change; {after}."
     elif isinstance(signal, OneFrequency) and signal.repeats and report.scenario.measure.measured_cycles > 1:
         yield "Every run had settled."

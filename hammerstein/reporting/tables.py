@@ -59,10 +59,9 @@ def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
         errors = _path_errors if is_path(report) else _transfer_errors
         seen = "position" if report.reads_truth else "sensor's reading"
         both = [(f"Error of the {seen} against the {target}", "")]
+        true = (f"Error of the true position against the {target}", "_true")
         if not report.reads_truth:
-            both.insert(
-                int(report.reading_first), (f"Error of the true position against the {target}", "_true")
-            )
+            both.insert(int(report.reading_first), true)
         for title, which in both:
             yield errors(report, kept, title, which, remark)
     loops = [row for row in _once(report, kept) if row.height_um is not None]
@@ -80,10 +79,9 @@ def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
     if len(frequencies) <= most:
         return list(report.rows), ""
     kept = selected_frequencies(frequencies, identified_at(report).values(), most)
-    remark = Markdown("This table shows {} of {} frequencies; `rms.csv` has all.").format(
-        len(kept), len(frequencies)
-    )
-    return [row for row in report.rows if row.frequency_hz in kept], remark
+    rows = [row for row in report.rows if row.frequency_hz in kept]
+    remark = Markdown("This table shows {} of {} frequencies; `rms.csv` has all.")
+    return rows, remark.format(len(kept), len(frequencies))
 
 
 def _once(report: Report, rows: Sequence[Row]) -> list[Row]:
@@ -164,9 +162,8 @@ def _transfer_errors(report: Report, rows: Sequence[Row], title: str, which: str
         found = {(row.excited_axis, row.measured_axis): _rms_and_worst(row, which) for row in line}
         yield from (found.get(transfer, "") for transfer in transfers)
 
-    return _table(
-        report, rows, _lines(rows), f"{title}{_place(rows)}, rms / worst [um]", heads, cells, remark
-    )
+    title = f"{title}{_place(rows)}, rms / worst [um]"
+    return _table(report, rows, _lines(rows), title, heads, cells, remark)
 
 
 def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:

@@ -107,6 +107,6 @@ def test_what_is_said_of_two_runs_at_once_names_no_owner():
     laws = [PAPER | {"label": f"paper {k}", "identification": own} for k, own in enumerate(ways)]
     reference = SINE | {"frequency_hz": UNEVEN_HZ}
     report = run({"question": "?", "actuator": "duo_bimorph", "reference": reference, "compensators": laws})
-    shared = [said for said in gathered(report.statements) if said.startswith("paper 0 at")]
-    assert [said.count("; paper 1 at") for said in shared] == [1]
+    shared = [said for said in gathered(report.statements) if said.startswith("paper 0;")]
+    assert [said.count("; paper 1, all at") for said in shared] == [1]
     assert " its " not in shared[0]

@@ -53,6 +53,15 @@ def test_identify_finds_the_stack_and_says_what_the_dead_zones_gain():
     assert any("dead-zones for each input beside the plays" in note for note in fit.notes)
 
 
+def test_a_block_without_dead_zones_is_plays_and_nothing_is_said_to_lie_beyond_them():
+    """A page said that hysteresis beyond plays improves a model that had none."""
+    given = {"thresholds_v": R, "delay_samples": 0, "error_curve": False, "dead_zones": 0}
+    _, fit = identify([record_of(9, 1)], Settings(hysteresis="asymmetric", **given))
+    assert "this model with plays alone" in fit.verdict
+    assert "beyond plays" not in fit.verdict
+    assert "no dead-zones: this hysteresis is of plays alone" in fit.notes
+
+
 def test_the_model_counts_from_where_the_actuator_stood_and_is_compensated(tmp_path):
     model, _ = identify(
         [record_of(9, 1)],

@@ -97,6 +97,6 @@ def test_what_is_designed_from_the_actuator_itself_is_said_with_the_error_of_its
     file = stage(tmp_path / "stage.json", 100.0, flagged=False, held_out=True, nrmse_percent=[0.5, 2.0])
     off = "(0.5 % of the range of x and 2 % of that of y on validation records, from its fit report)."
     report = run(sine(file, file))
-    assert "has a perfect model, which no real actuator offers" in answer(report)
+    assert "has a perfect model, unlike a real one" in answer(report)
     assert any(off in text for text in report.statements)
     assert "has a perfect model" not in answer(run(sine("duo_bimorph", "duo_bimorph_static")))

@@ -78,7 +78,9 @@ def test_a_headline_leaves_out_what_the_range_alone_decides(tmp_path: Path) -> N
     assert words == "swept: worst true error, circle, 20 um, 50 Hz"
     assert float(value) < 0.5
     write_overview([swept], tmp_path)
-    assert "beyond the drive's range: 52 um" in (tmp_path / "index.html").read_text(encoding="utf-8")
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert "beyond the drive's range: 52\xa0um" in page
+    assert "links pages that lie beside it" in page  # and does not say that it is one file
     beyond = run(_content(CIRCLE | {"radius_um": 52}), "beyond")
     told = digest([beyond], tmp_path)[1]
     assert float(told.removesuffix(" um (exact)").rpartition(": ")[2]) > 0.5
@@ -91,7 +93,7 @@ def test_claims_have_a_section_of_their_own_below_the_examples(reports: list[Rep
     assert "one0/report.html" in examples
     assert "claim0/report.html" in paper
     assert "claim" not in examples.partition("<main")[2].replace("claims met", "claim")
-    assert "circle, 20 um, 50 Hz" in examples
+    assert "circle, 20\xa0um, 50\xa0Hz" in examples
     assert 'class="bad"' not in page
 
 

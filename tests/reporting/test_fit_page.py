@@ -15,6 +15,7 @@ from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.model import HammersteinModel
+from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.reporting.figures.identified import operators_figure, residual_figure, response_figure
 from hammerstein.reporting.fit_page import Asked, fit_page, next_step
 
@@ -79,8 +80,10 @@ def test_the_residual_of_the_kept_model_is_the_one_solid_line(fits: tuple[Found,
 
 def test_thresholds_fitted_and_not_fitted_have_entries_of_their_own(fits: tuple[Found, Found]) -> None:
     given, fitted = fits[1][1], replace(fits[0][1], error_curve=fits[1][1].error_curve)
+    axes_alone = ParameterCovariance(np.eye(60), (), (58, 59), ())  # behind all thresholds
     for fit, own in (
         (fitted, "this model on the validation records, thresholds fitted"),
+        (replace(fitted, covariance=axes_alone), "this model on the validation records"),
         (given, "this model on the fitted records"),
     ):
         (legend,) = operators_figure(fit).legends

@@ -124,7 +124,7 @@ def test_conditions_of_an_answer_are_points_of_a_list() -> None:
     )  # fmt: skip
     page = render(with_rms(two, lambda label, f: f / (10.0 if label == "paper" else 5.0)))
     assert (
-        "\nThe rms error, direct / cross-coupling:\n\n"
+        "\nThe rms error of the reading, direct / cross-coupling:\n\n"
         "| [um] | 20 Hz | 50 Hz |\n"
         "| --- | ---: | ---: |\n"
         "| *paper* | 2.00 / 0.200 | 5.00 / 0.500 |\n"
@@ -140,7 +140,7 @@ def test_what_is_said_of_several_stands_once() -> None:
 def test_answer_tells_the_errors_of_a_single_frequency() -> None:
     text = answer(with_rms(sine(), lambda label, _: 3.0 if label == "paper" else 0.5))
     assert text == (
-        "The rms error, direct / cross-coupling: [um]; 50 Hz, 40 um none; 0.500 / 0.0500 "
+        "The rms error of the reading, direct / cross-coupling: [um]; 50 Hz, 40 um none; 0.500 / 0.0500 "
         "paper; 3.00 / 0.300 No voltage was clipped. Every run had settled."
     )
 
@@ -160,8 +160,8 @@ def test_answer_tells_who_is_best_where_and_shows_the_worst_of_the_best() -> Non
 
     found = sentences(with_rms(swept(), rms))[0]
     assert found.words == (
-        "The rms error, direct / cross-coupling; smallest direct error: paper from 10 Hz to 30 Hz and none "
-        "(no compensator is better) from 40 Hz to 60 Hz:"
+        "The rms error of the reading, direct / cross-coupling; smallest direct error: paper from 10 Hz to "
+        "30 Hz and none (no compensator is better) from 40 Hz to 60 Hz:"
     )
     assert found.table == (
         ("[um]", "10 Hz", "40 Hz", "60 Hz"),
@@ -174,7 +174,7 @@ def test_answer_tells_who_is_best_where_and_shows_the_worst_of_the_best() -> Non
 
 def test_answer_counts_where_the_best_changes_too_often() -> None:
     text = answer(with_rms(swept(), lambda label, f: float((f % 20.0 == 0.0) == (label == "paper")) + 1.0))
-    assert "; smallest direct error: paper in 3 of 6 runs: " in text
+    assert "; smallest direct error: paper at 3 of 6 points of the sweep: " in text
 
 
 LINE = 105
@@ -186,7 +186,9 @@ def test_an_answer_has_three_lines_and_one_small_table() -> None:
     labels = [f"compensator {chr(97 + k)} at 50 Hz" for k in range(12)]
     few = swept()
     rows = [replace(row, compensator=n) for n in labels for row in few.rows if row.compensator == "paper"]
-    unsettled = [f"{n} at {f:g} Hz, axis x: the loop has not settled; try." for n in labels for f in (10, 60)]
+    unsettled = [
+        f"{n} at {f:g} Hz, axis x: the position has not settled; try." for n in labels for f in (10, 60)
+    ]
     report = with_rms(
         replace(few, rows=tuple(rows), statements=tuple(unsettled)),
         lambda label, f: 2.0 + (labels.index(label) + int(f)) % 5,
@@ -220,18 +222,55 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     assert "The drive's range clipped the voltage in 2 of 2 runs." in answer(cut)
     hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
     said = answer(hurried)
-    assert "No run had settled. These figures still change; " in said
+    assert "No run had settled. These numbers still change; " in said
     assert "raise settle_cycles or settle_s" in said  # and what follows
     assert "settled" not in answer(report_of(drive=SINE_V, measure={"measured_cycles": 1}))
     creeping = replace(
-        cut, statements=("x: the loop has not settled; it does not settle in 20 times as many",)
+        cut, statements=("x: the position has not settled; it does not settle in 20 times as many",)
     )
     assert "raise settle_cycles" not in answer(creeping)
     assert "more cycles do not help" in answer(creeping)
+    some = replace(creeping, statements=(*creeping.statements, "x: the position has not settled; try."))
+    assert "raise settle_cycles or settle_s in [measure] (does not help 1 of them)." in answer(some)
+
+
+def test_runs_that_differ_in_their_size_are_told_apart_and_written_as_one() -> None:
+    """Circles of three radii had one statement: that of 50 Hz."""
+    hurried = report_of(
+        reference=SINE_UM | {"axis": "each"}, sweep={"amplitude_um": [20.0, 40.0]}, actuator="duo_bimorph",
+        compensators=[NONE, NONE | {"label": "idle"}], measure={"settle_cycles": 0, "settle_s": 0.0},
+    )  # fmt: skip
+    said = [text for text in hurried.statements if "has not settled" in text]
+    assert [text.partition(":")[0] for text in said] == [
+        f"{label} at {size} um, axis {axis}"
+        for size in (20, 40) for label in ("none", "idle") for axis in "xy"
+    ]  # fmt: skip
+    assert "\n* none; idle, all at 20 um, axis x and axis y; none; idle, all at 40 um, " in render(hurried)
+    fewer = answer(replace(hurried, statements=tuple(said[:5])))
+    assert "5 of 8 runs had not settled: none (3 runs, 20 to 40 um); idle (2 runs, 20 um). " in fewer
+
+
+def test_a_limit_over_frequencies_stands_beside_the_worst_of_the_nominal_actuator() -> None:
+    """The nominal error at the frequency of the largest limit was far below that at another one."""
+    report = report_of(
+        reference=SINE_UM, sweep={"frequency_hz": [20.0, 50.0]}, compensators=[NONE],
+        uncertainty={"draws": 40, "weights": 0.05},
+    )  # fmt: skip
+    bands = [replace(b, p95_um=9.0 - b.frequency_hz / 10.0) for b in report.bands]
+    found = sentences(replace(report, bands=tuple(bands)))[0]
+    assert found.words.endswith("for 40 random actuators, each number at its worst frequency:")
+    direct = [row for row in report.rows if row.excited_axis == row.measured_axis]
+    assert found.table[1][3] == number(max(row.rms_true_um for row in direct))
+    assert found.table[1][2] == "7.00"
+
+
+def test_one_statement_that_is_left_out_is_one() -> None:
+    texts = tuple(f"statement {k}" for k in range(16))
+    assert "\n* 1 more statement is in `report.json`." in render(replace(sine(), statements=texts))
 
 
 def test_many_loops_that_had_not_settled_are_counted_and_named_below() -> None:
-    said = tuple(f"law {k} at {10 * k} Hz, axis x: the loop has not settled; try." for k in range(1, 6))
+    said = tuple(f"law {k} at {10 * k} Hz, axis x: the position has not settled; try." for k in range(1, 6))
     text = answer(replace(swept(), statements=said))
     assert "5 of 24 runs had not settled: 5 methods (5 runs, 10 to 50 Hz), listed below. These " in text
     assert "law 1 (1 run, 10 Hz); law 2 (1 run, 20 Hz). " in answer(replace(swept(), statements=said[:2]))
@@ -474,6 +513,18 @@ def test_many_statements_are_cut_short() -> None:
     assert "* statement 14\n* 25 more statements are in `report.json`." in page
 
 
+def test_claims_that_are_undecided_are_counted_as_such() -> None:
+    asked = {"kind": "paper", "claims": [CLAIM]}
+    report = report_of(drive=SINE_V, assessment=asked)
+    (judged,) = report.judgements
+    open_ = replace(judged, simulated=(replace(judged.simulated[0], agrees=None),))
+    for judgements, words in (
+        ((judged,), "1 of 1 claims met"),
+        ((judged, open_), "1 of 2 claims met, 1 undecided"),
+    ):
+        assert run_page(replace(report, judgements=judgements)).verdict.words == words
+
+
 def test_claims_come_after_the_figures_and_name_other_actuators_in_their_details() -> None:
     asked = {"kind": "paper", "claims": [CLAIM], "also_on": [{"actuator": "duo_bimorph"}]}
     page = run_page(report_of(drive=SINE_V, assessment=asked), ["loops.svg"]).markdown()
@@ -483,5 +534,5 @@ def test_claims_come_after_the_figures_and_name_other_actuators_in_their_details
         for start in ("| claim", "| C1")
     )
     assert "reason" not in heads  # empty in every line
-    assert re.fullmatch(r"11\d", line[heads.index("simulated")])
+    assert re.fullmatch(r"11\d um", line[heads.index("simulated")])
     assert "Other actuators: duo" in line[heads.index("details")]

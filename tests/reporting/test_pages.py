@@ -206,6 +206,17 @@ def test_a_label_opens_no_list_in_a_list(label: str) -> None:
     assert shown.replace("\xa0", " ") == f"<ul>\n<li>{label.replace('>', '&gt;')}</li>\n</ul>\n"
 
 
+def test_short_heads_are_level_and_nothing_is_parted_from_what_it_numbers() -> None:
+    """Heads such as 10 Hz were turned upright; titles and bounds were broken before a unit or a number."""
+    table = Markdown("| [um] | 10 Hz | frequency [Hz] |\n| --- | --- | --- |\n| a | < 1e-6 | b, trial 1 |\n")
+    shown, _ = html_of(table)
+    assert re.findall(r'<th class="upright">(.*?)</th>', shown) == ["frequency [Hz]"]
+    assert "&lt;\xa01e-6" in shown
+    assert "b, trial\xa01" in shown
+    page = page_module.Page(Markdown("# wide"), "wide", "A 50 um circle?", Markdown(), Markdown())
+    assert "<h1>A 50\xa0um circle?</h1>" in page.html({})
+
+
 def test_drawings_of_one_page_share_no_id_and_keep_their_references() -> None:
     svg = (
         b'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '

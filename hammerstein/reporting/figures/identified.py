@@ -228,7 +228,8 @@ def operators_figure(fit: Fit) -> Figure:
     fit : what ``identify`` has found, with its error curve
     """
     counts = [point.operators for point in fit.error_curve]
-    fitted = fit.covariance is not None and fit.covariance.fitted
+    thresholds = sum(map(max, zip(*fit.operators, strict=True)))  # parameters behind them are of the axes
+    fitted = fit.covariance is not None and any(i < thresholds for i in fit.covariance.fitted)
     chosen = sorted({n for row in fit.operators for n in row})
     with styled():
         figure = new_figure(0.4 * WIDTH_IN, columns=1)
@@ -248,12 +249,7 @@ def operators_figure(fit: Fit) -> Figure:
             (point,) = axes.plot(n, max(fit.judged[fit.kind].nrmse_percent[o], LEAST), "*", markersize=11)
             records = f"{'validation' if fit.held else 'fitted'} records"
             entries[f"this model on the {records}{', thresholds fitted' if fitted else ''}"] = point
-        axes.set(
-            xlabel="operators of each pair",
-            ylabel="rms error [% of range]",
-            xscale="log",
-            yscale="log",
-        )
+        axes.set(xlabel="operators of each pair", ylabel="rms error [% of range]", xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
             plain_numbers(axis)
         letter(axes, 0)

@@ -122,10 +122,7 @@ def loops_figure(
 
 
 def errors_figure(
-    runs: Sequence[ErrorRun],
-    input_labels: Sequence[str],
-    output_labels: Sequence[str],
-    title: str = "",
+    runs: Sequence[ErrorRun], input_labels: Sequence[str], output_labels: Sequence[str], title: str = ""
 ) -> Figure:
     """Errors over the cycle, panels as in ``loops_figure``; the legend gives the worst error of all panels.
 
