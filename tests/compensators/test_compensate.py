@@ -345,6 +345,21 @@ def test_rounding_of_a_path_that_the_inverse_amplifies_is_named(digits, said):
     assert ("amplifies rounding" in " ".join(found.essentials())) == said
 
 
+@pytest.mark.parametrize(
+    ("noise", "ratio", "said"),
+    [(5e-4, 8.0, False), (5e-4, 12.0, True), (6e-5, 14.0, False), (9e-5, 14.0, True)],
+)
+def test_noise_is_named_from_ten_times_that_of_the_path_and_a_thousandth_of_the_drive(noise, ratio, said):
+    """Both are noises in parts of a span, in whatever unit."""
+    t, rng = 5e-5 * np.arange(4000), np.random.default_rng(2)
+    wave, rough = np.sin(2.0 * np.pi * 10.0 * t), rng.standard_normal((2, 4000))
+    found = HammersteinModel.load("duo_bimorph_static").compensate(20.0 * np.stack([wave, wave]))
+    path, drive = 40.0 * (0.5 * wave + noise * rough), 8.0 * (0.5 * wave + ratio * noise * rough)
+    attempt = dataclasses.replace(found.attempt, reference_um=path, drive_v=drive, lead=0)
+    told = dataclasses.replace(found, attempt=attempt)
+    assert ("amplifies rounding" in " ".join(told.essentials())) == said
+
+
 def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsys, monkeypatch):
     """Corners 5 um away from where a lightly damped stage stands need a lead-in and a filter."""
     from hammerstein.dynamics import AxesDynamics, Axis
