@@ -8,9 +8,10 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.compensators.added_motion import lead_in
-from hammerstein.compensators.attempt import Prediction
+from hammerstein.compensators.attempt import Missed, Prediction
 from hammerstein.compensators.cycle import cycle_of
-from hammerstein.compensators.drive_file import compensate
+from hammerstein.compensators.drive_file import Terms, allowed_range, compensate
+from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step
@@ -316,6 +317,20 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     first = table["drive_u_v"].to_numpy()
     assert abs(first[0]) < 0.01  # from where the stage stands
     assert np.abs(np.diff(first)).max() < 1.0
+
+
+@pytest.mark.parametrize("away_um", [[-60.0, 0.0], [25.0, -8.0]])
+def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_um):
+    model = HammersteinModel.load("duo_bimorph_static")
+    limits, path = allowed_range(model, Terms((-5.0, 10.0))), np.array([[1.0, 7.0, 3.0], [-2.0, 0.0, 5.0]])
+    within = reach(model, list(zip(limits.low_v, limits.high_v, strict=True)))
+    here, away = (
+        Missed(model, limits, None, path + np.reshape(by, (2, 1)), None, np.zeros(2), within)._centred[0][0]
+        for by in ([0.0, 0.0], away_um)
+    )
+    np.testing.assert_allclose(away, here, rtol=0.01)
+    middle = 0.5 * (away.max(axis=1) + away.min(axis=1))
+    np.testing.assert_allclose(middle, within.alone_um.mean(axis=1), rtol=0.01)
 
 
 def test_an_offset_and_a_filter_are_named_together_where_a_path_needs_both(tmp_path, capsys, monkeypatch):

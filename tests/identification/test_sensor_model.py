@@ -11,6 +11,7 @@ from hammerstein.comparison.compare import compare
 from hammerstein.identification.identify import identify
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
+from hammerstein.records.checks import FEWEST_SAMPLES
 from hammerstein.records.record import Record
 from hammerstein.reporting.fit_page import fit_page
 
@@ -87,6 +88,16 @@ def test_a_period_goes_on_at_its_beginning():
     prompt = SensorModel(delay_s=3e-3).prompt(record)
     assert prompt.samples == 200
     assert np.array_equal(prompt.y_um, 2.0 * prompt.u_v)
+
+
+@pytest.mark.parametrize("more", [0, -1])
+def test_a_delay_may_leave_the_fewest_samples_that_a_record_has(more):
+    u = np.sin(np.linspace(0.0, 12.0, FEWEST_SAMPLES + 5))[None]
+    record, sensor = Record(u, 2.0 * u, 1e-3), SensorModel(delay_s=1e-3 * (5 - more))
+    if more == 0:
+        assert sensor.prompt(record).samples == FEWEST_SAMPLES
+    else:
+        assert "but the sensor delay is 6 samples" in message(sensor.prompt, record)
 
 
 def test_mistakes_name_the_delay():

@@ -61,6 +61,18 @@ def test_multisine_has_its_lines_and_keeps_its_amplitude():
     assert (values[0] != values[1]).any()
 
 
+@pytest.mark.parametrize("amplitude", [0.01, 8.0])
+def test_the_peak_of_a_multisine_is_its_amplitude_or_its_rms_a_third_of_it(amplitude):
+    """Of fifty lines whose peaks mostly go farther; the samples lie close enough together for 1 %."""
+    time_s = np.arange(10_000) * 1e-5
+    for seed in range(4):
+        values = Multisine(amplitude=amplitude, lowest_hz=10.0, highest_hz=1000.0, seed=seed).sample(
+            time_s, 2
+        )
+        parts = np.stack([np.abs(values).max(axis=1), 3.0 * values.std(axis=1)]) / amplitude
+        np.testing.assert_allclose(parts.max(axis=0), 1.0, atol=0.01)
+
+
 def test_smooth_start_begins_at_zero_without_a_jump_in_speed():
     values = Circle(radius=50.0, frequency_hz=50.0, smooth_start_s=0.02).sample(t, 2)
     plain = Circle(radius=50.0, frequency_hz=50.0).sample(t, 2)
