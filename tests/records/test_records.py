@@ -11,6 +11,7 @@ from record_cases import N, U, X, message, plays
 
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
+from hammerstein.records.checks import sample_time, time_tolerance
 from hammerstein.records.loops import loop_table
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record, driven_inputs
@@ -238,3 +239,11 @@ class TestPairsOnTheCommandLine:
         monkeypatch.chdir(pair)
         assert self.loops("u.npy", "--axes", "sample,experiment", *words) == 2
         assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("samples", [20, 333])
+@pytest.mark.parametrize("step_s", [np.pi * 1e-5, np.pi])
+def test_a_time_of_many_digits_may_be_off_by_a_tenth_of_a_sample(samples, step_s):
+    time_s = 0.7 + step_s * np.arange(samples)
+    assert sample_time(time_s) == pytest.approx(step_s, rel=1e-12)
+    assert time_tolerance(time_s) == pytest.approx(0.1 * step_s, rel=1e-12)
