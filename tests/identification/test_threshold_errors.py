@@ -10,6 +10,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
+from hammerstein.identification import parameter_covariance as covariance
 from hammerstein.identification.identify import identify
 from hammerstein.identification.parameter_covariance import parameter_covariance
 from hammerstein.identification.score import Candidate
@@ -155,6 +156,23 @@ def test_the_errors_of_an_axis_in_the_report_are_those_in_the_model_file():
     (axis,) = fit.axes
     stated = [axis.resonance_error_percent, axis.damping_error_percent]
     assert stated == pytest.approx(100.0 * model.covariance.errors[-2:])
+
+
+def test_what_was_fitted_follows_thresholds_that_were_given():
+    """It moves so that least is added to the squares of the readings and of its own possible changes."""
+    axes = AxesDynamics(axes=(Axis(resonance_hz=90.0, damping_ratio=0.1),))
+    u, plays = drives()[:1], PrandtlIshlinskii([[Pair(R[0], W[0][0])]])
+    truth = HammersteinModel("m", plays, axes, 10.0, ("u",), ("x",)).simulate(u, T).position_um
+    own, start = Record(u, truth, T), InitialState("rest")
+    block = fit_static([own], [[np.array([0.1, 1.0, 2.0, 3.0])]], solver="least_squares").hysteresis
+    scale, cells = covariance._scale(block, 6, [own])
+    told = [covariance._told_by(Candidate(block, axes), own, start, scale, 1)]
+    mean = covariance._pooled(told, block, 2)
+    fitted, places = np.arange(cells, 6), np.flatnonzero(scale[:cells])
+    spread, _ = covariance._of_places(mean, told, fitted, places, scale)
+    added = mean.information[0] @ spread + spread / scale[:, None] ** 2
+    assert np.abs(added[places]).max() > 1.0
+    np.testing.assert_allclose(added[fitted], 0.0, atol=1e-6 * np.abs(added).max())
 
 
 @pytest.mark.parametrize("noise_um", [1e-9, 1e-8, 1e-7, 1e-5])
