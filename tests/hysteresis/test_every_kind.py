@@ -146,7 +146,7 @@ def test_what_the_inputs_do_one_by_one_adds_up(build):
 @pytest.mark.parametrize("passes", [1, 3])
 @pytest.mark.parametrize("build", IDENTIFIED)
 def test_the_columns_of_the_weights_add_up_to_the_output(build, passes):
-    """After any path that ends farthest away, from rest or repeated; long ways of Bouc-Wen go in closed form."""
+    """After a path that ends farthest away, from rest or repeated; long ways of Bouc-Wen go otherwise."""
     block, before, near = made(build), walk(5, 4), 1e-4 if build is bouc_wen else 1e-9
     u = np.hstack([0.6 * walk(4), [[5.0], [-5.0]]])
     stood, memory = block.respond(before[:, -1:], block.after(before))
