@@ -115,14 +115,15 @@ def told(block, volt=1.0, order=AS_GIVEN):
     return outputs, [*gains, mean_slopes(block, driven(volt, order))]
 
 
+@pytest.mark.parametrize("volt", [1e3, 1e-3])
 @pytest.mark.parametrize("build", KINDS)
-def test_a_block_does_not_depend_on_the_unit_of_its_voltages(build):
+def test_a_block_does_not_depend_on_the_unit_of_its_voltages(build, volt):
     outputs, gains = told(made(build))
-    in_mv, per_mv = told(made(build, volt=1e3), volt=1e3)
-    for one, other in zip(outputs, in_mv, strict=True):
+    in_unit, per_unit = told(made(build, volt=volt), volt=volt)
+    for one, other in zip(outputs, in_unit, strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-9)
-    for one, other in zip(gains, per_mv, strict=True):
-        np.testing.assert_allclose(1e3 * other, one, rtol=1e-9, atol=1e-9)
+    for one, other in zip(gains, per_unit, strict=True):
+        np.testing.assert_allclose(volt * other, one, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("build", KINDS)
