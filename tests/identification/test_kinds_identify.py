@@ -83,6 +83,30 @@ def test_what_does_not_go_together_is_refused(options, says):
         Settings(**options)
 
 
+WRONG = (
+    {"partition": "spline"}, {"hysteresis": "none"}, {"solver": "newton"}, {"dynamics": "third_order"},
+    {"operators": "many"}, {"operators": 0}, {"operators": [3, 4], "partition": "fitted"}, {"ridge": -1.0},
+    {"dynamics": "state_space", "sensor_delay_s": 1e-3}, {"dynamics": "lag", "order": 2}, {"order": 0},
+    {"dynamics": "none", "creep_modes": 1}, {"creep_modes": 99}, {"solver": "closed_form", "dynamics": "lag"},
+    {"solver": "closed_form", "ridge": 1e-3}, {"dead_zones": 3},
+    {"hysteresis": "asymmetric", "dead_zones": 99},
+    {"hysteresis": "preisach", "dynamics": "state_space"}, {"hysteresis": "bouc_wen", "solver": "nonnegative"},
+    {"partition": "fitted", "thresholds_v": [0.0, 1.0]}, {"partition": "fitted", "dynamics": "state_space"},
+    {"partition": "fitted", "solver": "closed_form"}, {"delay_samples": -1},
+    {"thresholds_v": [1.0, 0.0]},
+    {"sensor_bandwidth_hz": 0.0}, {"sensor_delay_s": -1.0},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_mistake_of_settings_names_the_option_that_is_wrong(wrong):
+    with pytest.raises(InputError) as caught:
+        Settings(**wrong)
+    named = {mistake.where for mistake in caught.value.mistakes}
+    assert {name.removesuffix("_v") for name in named} <= {name.removesuffix("_v") for name in wrong}
+    assert all(" " in mistake.what for mistake in caught.value.mistakes)
+
+
 def test_the_command_writes_a_model_and_its_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     record = record_of(6, 1)
