@@ -1,8 +1,11 @@
 """What holds for every kind of hysteresis: units, the order of inputs and outputs, what a fit asks of it."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
+from hammerstein.errors import InputError
 from hammerstein.hysteresis import (
     Asymmetric,
     BoucWen,
@@ -195,3 +198,64 @@ def test_a_fit_begins_and_goes_alike_in_any_unit_and_order(build):
         np.testing.assert_allclose(list(other), first, rtol=1e-9, atol=1e-9)
     free = [list(begun(build, volt, within=True)) for volt in (1.0, 1e3)]
     np.testing.assert_allclose(free[1], free[0], rtol=1e-9, atol=1e-9)
+
+
+NAN = float("nan")
+FALLS, GAP = [1.0, 0.5], [NAN, 0.5]
+REFUSED = {
+    Pair: {
+        "thresholds_v": (FALLS, GAP, [-1.0, 0.5]),
+        "weights_um_per_v": (GAP,),
+        "weight_errors_um_per_v": ([1.0],),
+    },
+    DeadZones: {
+        "breakpoints_v": (FALLS, GAP),
+        "weights_um_per_v": (GAP,),
+        "weight_errors_um_per_v": ([1.0],),
+    },
+    Envelope: {
+        "voltages_v": (FALLS, GAP),
+        "values_v": ([1.0], FALLS, GAP),
+        "saturating_v": (-1.0,),
+        "steepness_per_v": (NAN,),
+    },
+    BoucWenPair: {"direct_um_per_v": (NAN,), "beta_per_v": (-1.0,), "gamma_per_v": (-2.0,)},
+    RatePlays: {
+        "thresholds_v": (FALLS, GAP),
+        "growth_s": ([0.0], FALLS),
+        "bandwidth_hz": (0.0,),
+        "lambda_s_per_v": (-1.0,),
+    },
+    Preisach: {
+        "low_v": ([3.0],),
+        "working_point_v": ([0.0, 1.0],),
+        "cells_um_per_v": ([[np.eye(2), np.eye(2)]], [[np.ones((2, 2))]]),
+    },
+}
+RIGHT = {
+    Pair: ([0.0, 1.0], [1.0, 1.0]),
+    DeadZones: ([0.0, 1.0], [1.0, 1.0]),
+    Envelope: ([0.0, 1.0], [0.0, 1.0], 1.0, 1.0),
+    BoucWenPair: (1.0, 0.5, 1.0, 0.0),
+    RatePlays: ([0.0, 1.0], [0.0, 1e-3]),
+    Preisach: ([-1.0], [1.0], [[np.eye(2)]]),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (kind, {name: value})
+        for kind, each in REFUSED.items()
+        for name, values in each.items()
+        for value in values
+    ],
+)
+def test_a_part_that_is_refused_names_its_field_and_what_is_wrong(kind, wrong):
+    names = [field.name for field in fields(kind)]
+    with pytest.raises(InputError) as caught:
+        kind(**dict(zip(names, RIGHT[kind], strict=False)) | wrong)
+    for mistake in caught.value.mistakes:
+        assert mistake.where in names
+        assert " " in mistake.what
+    kind(*RIGHT[kind])
