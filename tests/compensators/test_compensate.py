@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -331,6 +332,15 @@ def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_u
     np.testing.assert_allclose(away, here, rtol=0.01)
     middle = 0.5 * (away.max(axis=1) + away.min(axis=1))
     np.testing.assert_allclose(middle, within.alone_um.mean(axis=1), rtol=0.01)
+
+
+@pytest.mark.parametrize(("first_um", "led"), [(0.0, 0), (3.0, 0), (3.0, 40)])
+def test_a_lead_in_is_named_where_a_path_begins_elsewhere_and_nothing_leads_in(first_um, led):
+    model = HammersteinModel.load("duo_bimorph_static")
+    limits, found = allowed_range(model, Terms()), SimpleNamespace(lead=led)
+    path = np.array([[first_um], [0.0]]) + np.array([[1.0], [-0.3]]) * smooth_step(np.arange(800) / 700.0)
+    missed = Missed(model, limits, None, path, found, np.zeros(2), None)
+    assert missed.prefix == ("--lead-in" if first_um and not led else "")
 
 
 def test_an_offset_and_a_filter_are_named_together_where_a_path_needs_both(tmp_path, capsys, monkeypatch):
