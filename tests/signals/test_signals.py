@@ -50,6 +50,18 @@ def test_lissajous_repeats_after_its_period():
     np.testing.assert_allclose(figure.sample(t, 2), figure.sample(t + 0.06, 2), atol=1e-9)
 
 
+@pytest.mark.parametrize("ratio", [100.0, 101.0])
+def test_frequencies_of_a_figure_differ_by_a_hundred_times_at_most(ratio):
+    for x_hz, y_hz in ((ratio, 1.0), (1.0, ratio)):
+        asked = {"amplitude": 1.0, "frequency_x_hz": x_hz, "frequency_y_hz": y_hz}
+        if ratio > 100.0:
+            with pytest.raises(ValueError, match="within a factor of 100 of each other"):
+                Lissajous(**asked)
+        else:
+            figure = Lissajous(**asked)
+            np.testing.assert_allclose(figure.sample(t, 2), figure.sample(t + figure.period_s, 2), atol=1e-9)
+
+
 def test_multisine_has_its_lines_and_keeps_its_amplitude():
     signal = Multisine(amplitude=8.0, lowest_hz=10.0, highest_hz=100.0, seed=3)
     time_s = np.arange(2000) * 50e-6
