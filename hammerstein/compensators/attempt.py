@@ -165,13 +165,13 @@ class Prediction:
         half, verdict = half_span_v(model), model.verdict
         volts = float(half.max()) if np.isfinite(half).all() else 1.0
         step_v = model.instruments.drive.resolution_v / np.sqrt(12.0)
-        known = verdict is not None and len(verdict.rest_um) == len(model.outputs)
+        rest_um = () if verdict is None else verdict.rest_um
         return cls(
             path=attempt.path_rms_um,
             most=attempt.path_error_um,
             model=model_error_um(model),
             validated=verdict is not None and verdict.held_out,
-            rest=np.array(verdict.rest_um) if verdict is not None and known else None,
+            rest=np.array(rest_um) if len(rest_um) == len(model.outputs) else None,
             converter=np.asarray(step_v * np.abs(model.gain(volts)).sum(axis=1)),
             noise=float(model.instruments.sensor.noise_um),
         )

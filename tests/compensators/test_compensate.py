@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -8,9 +9,10 @@ import pytest
 
 from hammerstein.commands.cli import main
 from hammerstein.compensators.added_motion import lead_in
-from hammerstein.compensators.attempt import Prediction
+from hammerstein.compensators.attempt import Missed, Prediction
 from hammerstein.compensators.cycle import cycle_of
-from hammerstein.compensators.drive_file import compensate
+from hammerstein.compensators.drive_file import Terms, allowed_range, compensate
+from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step
@@ -318,6 +320,29 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     assert np.abs(np.diff(first)).max() < 1.0
 
 
+@pytest.mark.parametrize("away_um", [[-60.0, 0.0], [25.0, -8.0]])
+def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_um):
+    model = HammersteinModel.load("duo_bimorph_static")
+    limits, path = allowed_range(model, Terms((-5.0, 10.0))), np.array([[1.0, 7.0, 3.0], [-2.0, 0.0, 5.0]])
+    within = reach(model, list(zip(limits.low_v, limits.high_v, strict=True)))
+    here, away = (
+        Missed(model, limits, None, path + np.reshape(by, (2, 1)), None, np.zeros(2), within)._centred[0][0]
+        for by in ([0.0, 0.0], away_um)
+    )
+    np.testing.assert_allclose(away, here, rtol=0.01)
+    middle = 0.5 * (away.max(axis=1) + away.min(axis=1))
+    np.testing.assert_allclose(middle, within.alone_um.mean(axis=1), rtol=0.01)
+
+
+@pytest.mark.parametrize(("first_um", "led"), [(0.0, 0), (3.0, 0), (3.0, 40)])
+def test_a_lead_in_is_named_where_a_path_begins_elsewhere_and_nothing_leads_in(first_um, led):
+    model = HammersteinModel.load("duo_bimorph_static")
+    limits, found = allowed_range(model, Terms()), SimpleNamespace(lead=led)
+    path = np.array([[first_um], [0.0]]) + np.array([[1.0], [-0.3]]) * smooth_step(np.arange(800) / 700.0)
+    missed = Missed(model, limits, None, path, found, np.zeros(2), None)
+    assert missed.prefix == ("--lead-in" if first_um and not led else "")
+
+
 def test_an_offset_and_a_filter_are_named_together_where_a_path_needs_both(tmp_path, capsys, monkeypatch):
     """A triangle about 0 on a stage that only extends: half of it is out of reach, and so are its corners."""
     monkeypatch.chdir(tmp_path)
@@ -343,6 +368,21 @@ def test_rounding_of_a_path_that_the_inverse_amplifies_is_named(digits, said):
     x = 20.0 * np.sin(np.pi * t / t[-1]) ** 4 * np.sin(2.0 * np.pi * 40.0 * t)
     found = model.compensate(np.round(np.stack([x, 0.5 * x]), digits))
     assert ("amplifies rounding" in " ".join(found.essentials())) == said
+
+
+@pytest.mark.parametrize(
+    ("noise", "ratio", "said"),
+    [(5e-4, 8.0, False), (5e-4, 12.0, True), (6e-5, 14.0, False), (9e-5, 14.0, True)],
+)
+def test_noise_is_named_from_ten_times_that_of_the_path_and_a_thousandth_of_the_drive(noise, ratio, said):
+    """Both are noises in parts of a span, in whatever unit."""
+    t, rng = 5e-5 * np.arange(4000), np.random.default_rng(2)
+    wave, rough = np.sin(2.0 * np.pi * 10.0 * t), rng.standard_normal((2, 4000))
+    found = HammersteinModel.load("duo_bimorph_static").compensate(20.0 * np.stack([wave, wave]))
+    path, drive = 40.0 * (0.5 * wave + noise * rough), 8.0 * (0.5 * wave + ratio * noise * rough)
+    attempt = dataclasses.replace(found.attempt, reference_um=path, drive_v=drive, lead=0)
+    told = dataclasses.replace(found, attempt=attempt)
+    assert ("amplifies rounding" in " ".join(told.essentials())) == said
 
 
 def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsys, monkeypatch):

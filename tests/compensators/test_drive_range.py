@@ -229,6 +229,28 @@ def test_beyond_the_records_only_when_asked(stage, capsys):
     assert compensate(stage, *options, "--beyond-records") == 0
 
 
+def test_axes_are_told_by_their_names_in_any_order():
+    """A path that needs more volts than there are of u alone."""
+    told = []
+    for order in ([0, 1], [1, 0]):
+        model = model_of(rest=np.zeros(2))
+        pairs = [[model.hysteresis.pairs[o][k] for k in order] for o in order]
+        names = [[names[k] for k in order] for names in (model.inputs, model.outputs)]
+        kept = {
+            "voltages": Voltages.of([0.0, 0.0], [-50.0] * 2, [100.0] * 2),
+            "instruments": model.instruments,
+        }
+        turned = HammersteinModel("stage", PrandtlIshlinskii(pairs), model.dynamics, 70.0, *names, **kept)
+        found = turned.compensate(wave(40.0)[order], law="exact_inverse", clip=True).summary()
+        told.append(json.loads(json.dumps(found), parse_float=lambda text: float(f"{float(text):.6g}")))
+    for key in ("axes", "inputs", "unreached_samples"):
+        assert told[1][key] == told[0][key]
+    assert told[0]["unreached_samples"]["u"] > 0
+    said = " ".join(told[0]["statements"])
+    assert "input u is at its lower limit, -50 V" in said
+    assert "output x has an error of up to" in said
+
+
 def test_out_of_reach_names_volts_and_positions(stage, capsys):
     frame = pd.read_csv(stage / "path.csv")
     frame["x"] *= -1.0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
-from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains
+from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains, tuned
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
@@ -288,3 +288,27 @@ def test_no_gains_are_computed_where_thresholds_grow_with_the_rate():
         FeedbackController(model, 10.0, 1e-5)
     given = Gains(*np.array([[0.1], [50.0], [0.0]]).repeat(model.hysteresis.n_outputs, axis=1))
     assert FeedbackController(model, 10.0, 1e-5, gains=given).gains is given
+
+
+@pytest.mark.parametrize("derivative", [False, True])
+def test_gains_do_not_depend_on_the_unit_of_time_and_go_with_their_outputs(derivative):
+    def gains(k, order):
+        axes = [
+            Axis(
+                resonance_hz=own[0] / k,
+                damping_ratio=own[1],
+                creep=(CreepMode(gain=0.04, time_constant_s=0.2 * k),),
+            )
+            for own in ((220.0, 0.04), (390.0, 0.02))
+        ]
+        plant = AxesDynamics(axes=tuple(axes[o] for o in order), input_delay_s=7e-5 * k)
+        slopes = np.array([[[0.9, 0.05], [-0.02, 0.8]], [[1.2, 0.0], [0.04, 1.3]]])[:, order][:, :, order]
+        return tuned(FeedbackLoop(discretise(plant, 5e-5 * k), slopes), derivative)
+
+    first, slow, turned = gains(1.0, [0, 1]), gains(1024.0, [0, 1]), gains(1.0, [1, 0])
+    assert slow.sensitivity == pytest.approx(first.sensitivity, rel=1e-9)
+    assert turned.sensitivity == pytest.approx(first.sensitivity, rel=1e-6)
+    for name, unit in (("proportional", 1.0), ("integral_per_s", 1024.0), ("crossover_hz", 1024.0)):
+        np.testing.assert_allclose(unit * getattr(slow, name), getattr(first, name), rtol=1e-9)
+        np.testing.assert_allclose(getattr(turned, name)[::-1], getattr(first, name), rtol=1e-6)
+    np.testing.assert_allclose(slow.derivative_s / 1024.0, first.derivative_s, rtol=1e-9)

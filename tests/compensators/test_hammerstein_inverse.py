@@ -1,3 +1,5 @@
+import re
+
 import control
 import numpy as np
 import pytest
@@ -5,7 +7,7 @@ import theory_linear
 
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
-from hammerstein.compensators.preview.linear_inverse import linear_inverse
+from hammerstein.compensators.preview.linear_inverse import linear_inverse, low_pass_taps
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -329,3 +331,14 @@ def test_more_inputs_than_outputs():
     drive = HammersteinInverseLaw(model, 10.0, T).drive_for(path)
     np.testing.assert_allclose(drive[0], drive[1], atol=1e-9)
     assert np.abs(_position(model, drive) - path)[:, 400:].max() < 1e-9
+
+
+@pytest.mark.parametrize("sample_time_s", [1e-3, 1e-6])
+def test_the_lowest_bandwidth_of_a_filter_is_that_of_the_message(sample_time_s):
+    """That which is named is the longest that is allowed."""
+    with pytest.raises(InputError, match="needs a filter of") as caught:
+        low_pass_taps(1e-5 / sample_time_s, sample_time_s)
+    least = float(re.search(r"use (\S+) Hz or more", str(caught.value)).group(1))
+    assert 98_000 < len(low_pass_taps(1.01 * least, sample_time_s)) <= 100_001
+    with pytest.raises(InputError, match="needs a filter of"):
+        low_pass_taps(0.99 * least, sample_time_s)

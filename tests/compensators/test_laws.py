@@ -15,31 +15,57 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.model import HammersteinModel
 
-T = 50e-6
+T, K = 50e-6, 1024.0
 LAWS = {
-    "none": lambda model, limit: NoCompensationLaw(model, limit),
-    "inverse_multiplicative": lambda model, limit: InverseMultiplicativeLaw(model, limit, T),
-    "inverse_multiplicative, filter": lambda model, limit: InverseMultiplicativeLaw(
-        model, limit, T, filter_s=1e-3
+    "none": lambda model, limit, *_: NoCompensationLaw(model, limit),
+    "inverse_multiplicative": lambda model, limit, v=1.0, s=1.0: InverseMultiplicativeLaw(
+        model, limit, s * T
     ),
-    "decoupled_inverse": lambda model, limit: DecoupledInverseLaw(model, limit),
-    "exact_inverse": lambda model, limit: ExactInverseLaw(model, limit),
-    "exact_inverse, softened": lambda model, limit: ExactInverseLaw(model, limit, softening_v=0.05),
-    "hammerstein_inverse": lambda model, limit: HammersteinInverseLaw(model, limit, T),
-    "hammerstein_inverse, filter": lambda model, limit: HammersteinInverseLaw(model, limit, T, None, 2000.0),
-    "hammerstein_inverse, causal": lambda model, limit: HammersteinInverseLaw(model, limit, T, 0.0, 2000.0),
+    "inverse_multiplicative, filter": lambda model, limit, v=1.0, s=1.0: InverseMultiplicativeLaw(
+        model, limit, s * T, filter_s=s * 1e-3
+    ),
+    "decoupled_inverse": lambda model, limit, *_: DecoupledInverseLaw(model, limit),
+    "exact_inverse": lambda model, limit, *_: ExactInverseLaw(model, limit),
+    "exact_inverse, softened": lambda model, limit, v=1.0, s=1.0: ExactInverseLaw(
+        model, limit, softening_v=v * 0.05
+    ),
+    "hammerstein_inverse": lambda model, limit, v=1.0, s=1.0: HammersteinInverseLaw(model, limit, s * T),
+    "hammerstein_inverse, filter": lambda model, limit, v=1.0, s=1.0: HammersteinInverseLaw(
+        model, limit, s * T, None, 2000.0 / s
+    ),
+    "hammerstein_inverse, causal": lambda model, limit, v=1.0, s=1.0: HammersteinInverseLaw(
+        model, limit, s * T, 0.0, 2000.0 / s
+    ),
 }
+"""Each of a model, its range, and the units of voltage and time that both are in."""
+
+
+def model_in(v=1.0, s=1.0, um=1.0, order=(0, 1)):
+    """Two resonances with creep and a delay; in other units, and with its axes in another order."""
+    table = HammersteinModel.load("duo_bimorph_static").hysteresis
+    pairs = [
+        [
+            Pair(v * one.thresholds_v, um / v * one.weights_um_per_v)
+            for one in (table.pairs[o][k] for k in order)
+        ]
+        for o in order
+    ]
+    axes = tuple(
+        Axis(
+            resonance_hz=(280.0, 306.0)[o] / s,
+            damping_ratio=(0.12, 0.1)[o],
+            creep=(CreepMode(gain=0.05, time_constant_s=0.1 * s),),
+        )
+        for o in order
+    )
+    dynamics = AxesDynamics(axes=axes, input_delay_s=2.0 * s * T)
+    names = ("a", "b")
+    return HammersteinModel("test", PrandtlIshlinskii(pairs), dynamics, v * 10.0, names, names)
 
 
 @pytest.fixture(scope="module")
 def model():
-    table = HammersteinModel.load("duo_bimorph_static")
-    axes = tuple(
-        Axis(resonance_hz=f, damping_ratio=0.12, creep=(CreepMode(gain=0.05, time_constant_s=0.1),))
-        for f in (280.0, 306.0)
-    )
-    dynamics = AxesDynamics(axes=axes, input_delay_s=2 * T)
-    return HammersteinModel("test", table.hysteresis, dynamics, 10.0, table.inputs, table.outputs)
+    return model_in()
 
 
 @pytest.fixture(params=LAWS)
@@ -134,6 +160,17 @@ def test_what_must_be_known_before_a_run_is_said(model, build):
     assert isinstance(law.statement(), str)
     if isinstance(law, (ExactInverseLaw, HammersteinInverseLaw)):
         assert "has an inverse for every reference" in law.statement()
+
+
+@pytest.mark.parametrize("limit", [10.0, 4.0])
+def test_it_does_not_depend_on_units_and_the_order_of_axes(build, limit):
+    """In units 1024 times as small; with a range that cuts, and one that does not."""
+    path = _path()
+    first, _ = build(model_in(), limit).respond(path)
+    in_units, _ = build(model_in(K, K, K), K * limit, K, K).respond(K * path)
+    np.testing.assert_array_equal(in_units / K, first)
+    crossed, _ = build(model_in(order=(1, 0)), limit).respond(path[::-1])
+    np.testing.assert_allclose(crossed[::-1], first, atol=1e-9)
 
 
 @pytest.mark.full

@@ -24,7 +24,7 @@ from hammerstein.errors import InputError
 from hammerstein.experiment.report import TRIAL
 from hammerstein.experiment.run import run
 from hammerstein.experiment.set_up import set_up
-from hammerstein.experiment.simulated_identification import IlcRun
+from hammerstein.experiment.simulated_identification import IlcRun, whole_period
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
@@ -513,3 +513,13 @@ def test_no_drive_is_sent_ahead_by_a_law_that_learns(tmp_path, capsys):
         arguments = ("duo_bimorph", tmp_path / "path.csv", "--law", "learned", *more, "--out", out)
         assert _call("compensate", *arguments) == 2
         assert "learned needs the sensor's readings" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("off", [0.0, 5e-7, -5e-7, 2e-6, 0.5])
+@pytest.mark.parametrize("samples", [1, 2, 3, 400])
+def test_a_period_is_two_whole_samples_or_more(samples, off):
+    if abs(off) < 1e-6 and samples >= 2:
+        assert whole_period(samples + off, "learned") == samples
+    else:
+        with pytest.raises(InputError, match="period is a whole number of samples"):
+            whole_period(samples + off, "learned")

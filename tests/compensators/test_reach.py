@@ -36,6 +36,21 @@ def test_a_kind_without_inverse_reaches_as_far(axes):
     np.testing.assert_allclose(found.together_um, whole.together_um, atol=0.01 * size)
 
 
+@pytest.mark.parametrize("order", [[0, 1], [1, 0]])
+def test_reach_has_its_units_and_goes_with_its_outputs(order):
+    def found(v, um, order):
+        pairs = [[Pair(v * theory.R_V, um / v * theory.W_UM_PER_V[o][k]) for k in order] for o in order]
+        names = [[own[k] for k in order] for own in NAMES]
+        model = HammersteinModel("m", PrandtlIshlinskii(pairs), StaticDynamics(n_outputs=2), v * 10.0, *names)
+        return reach(
+            model, [(v * low, v * high) for low, high in np.array([(-3.0, 9.0), (-8.0, 5.0)])[order]]
+        )
+
+    first, other = found(1.0, 1.0, [0, 1]), found(1024.0, 4096.0, order)
+    for one, two in ((first.alone_um, other.alone_um), (first.together_um, other.together_um)):
+        np.testing.assert_allclose(two[order] / 4096.0, one, rtol=1e-6)
+
+
 def _tips(range_v):
     """Settled loop amplitudes (output, input), from the closed form."""
     return np.array(

@@ -72,6 +72,20 @@ def test_a_settled_period_repeats_itself(tmp_path):
     assert written["time_s"].to_numpy() == pytest.approx(T * np.arange(800), abs=1e-9)
 
 
+@pytest.mark.parametrize("size", [0.0, 5.0])
+def test_the_middle_of_every_axis_is_that_of_its_path(tmp_path, size):
+    """Also where the other axis stands still, at its own position."""
+    turn = 2.0 * np.pi * np.arange(400) / 400
+    columns = {
+        "time_s": np.arange(400) * T,
+        "x": 20.0 + 15.0 * np.cos(turn),
+        "y": 2.0 + size * np.sin(2.0 * turn),
+    }
+    pd.DataFrame(columns).to_csv(tmp_path / "path.csv", index=False)
+    found = cycle_of("duo_bimorph", tmp_path / "path.csv", "hammerstein_inverse", {})
+    assert np.abs(found.error_um.mean(axis=1)).max() < 1e-3  # steps of the converter
+
+
 def test_the_first_period_is_another_one(tmp_path):
     found = cycle_of("duo_bimorph", _path(tmp_path, 800), "hammerstein_inverse", {})
     model = HammersteinModel.load("duo_bimorph")

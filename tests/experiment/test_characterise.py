@@ -100,8 +100,14 @@ def test_records_of_a_joint_fit_go_from_rest_about_the_middle_of_the_range():
         assert 0.5 * (settled.min() + settled.max()) == pytest.approx(45.0, abs=1.5)
 
 
-@pytest.mark.full
-def test_creep_is_found_from_a_slow_record():
+def test_creep_is_found_from_a_slow_record_with_a_noise_of_its_own(monkeypatch):
+    noises, respond = [], Plant.respond
+
+    def noted(plant, voltage_v, seeds, *more):
+        noises.append(tuple(seeds))
+        return respond(plant, voltage_v, seeds, *more)
+
+    monkeypatch.setattr(Plant, "respond", noted)
     plant = _plant("duo_bimorph_creep")
     model = identified(plant, JOINT.model_copy(update={"creep_modes": 3}), 1)
     frequency = np.array([0.002, 0.01, 0.1, 1.0])
@@ -111,6 +117,7 @@ def test_creep_is_found_from_a_slow_record():
             for axis in (found, true)
         ]
         np.testing.assert_allclose(responses[0], responses[1], atol=0.003)
+    assert len(set(noises)) == len(noises) > 1
 
 
 def test_too_many_operators_for_the_samples():

@@ -311,12 +311,15 @@ def test_the_lag_of_the_sensor_is_told_from_the_error_of_the_actuator():
 
 @pytest.mark.parametrize(("reading", "told"), [(1.9, False), (2.1, True), (15.0, True)])
 def test_a_sensor_lags_where_the_reading_is_off_twice_as_far_as_the_position(reading, told):
+    """However far the position is off."""
     content = {
         "reference": {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 100.0, "axis": 1},
         "compensators": [{"label": "inverse", "law": "exact_inverse", "model": "duo_bimorph"}],
     }
-    row = Row("inverse", "x", "x", 100.0, figures={"rms_um": reading, "rms_true_um": 1.0})
-    assert bool(_sensor_lag(set_up(_scenario(actuator="duo_bimorph", **content)), [row])) == told
+    here = set_up(_scenario(actuator="duo_bimorph", **content))
+    for true in (0.1, 1.0, 40.0):
+        row = Row("inverse", "x", "x", 100.0, figures={"rms_um": reading * true, "rms_true_um": true})
+        assert bool(_sensor_lag(here, [row])) == told
 
 
 def test_a_slow_sensor_is_noisy_and_does_not_lag():

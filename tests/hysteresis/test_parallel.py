@@ -143,6 +143,7 @@ def test_weights_go_out_and_in(stack: HammersteinModel) -> None:
     doubled = block.with_weights([2.0 * w for w in block.weights])
     np.testing.assert_allclose(doubled.respond(drive())[0], 2.0 * block.respond(drive())[0], rtol=1e-12)
     assert [len(w) for w in block.weights] == [sum(row) for row in block.operators]
+    assert block.n_beside_weights == sum(part.n_beside_weights for part in block.parts) > 0
 
 
 def test_the_packaged_stack_is_that_of_its_recipe(stack: HammersteinModel) -> None:

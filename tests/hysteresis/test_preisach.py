@@ -238,21 +238,6 @@ def test_a_model_file_with_a_torn_triangle_is_refused():
         hammerstein.hysteresis.preisach.PreisachFile.model_validate(given)
 
 
-def test_its_columns_add_up_to_its_output():
-    """After any path, from rest or repeated."""
-    model = random_model(4)
-    block, u, before = model.hysteresis.counted_from([1.0, -2.0]), walk(4, 2), walk(5, 2, 4)
-    for passes in (1, 2):
-        expected, state = block.respond(u, block.after(before))
-        stood, _ = block.respond(before[:, -1:], block.after(before))
-        if passes == 2:
-            expected, _ = block.respond(u, state)
-        for o, weights in enumerate(block.weights):
-            values, held = block.columns(u, before, o, passes)
-            np.testing.assert_allclose(weights @ values, expected[o], atol=1e-11)
-            assert weights @ held == pytest.approx(stood[o, 0], abs=1e-11)
-
-
 def lobed(u, cells=80):
     """Relays of a plane with a lobe aside of the diagonal, which no plays can have: by theory."""
     places = (np.arange(cells) + 0.5) / cells

@@ -105,6 +105,18 @@ def test_unreachable_thresholds_and_still_inputs_are_refused():
         closed_form(np.zeros(100), np.zeros((1, 99)))
 
 
+@pytest.mark.parametrize("step", [0.0, -1e-3])
+@pytest.mark.parametrize("at", range(7))
+def test_a_branch_that_stands_or_falls_between_two_nodes_is_refused(at, step):
+    """By a sentence that says so, at the tip as in the middle."""
+    nodes = nodes_uniform_in_time(7, 50.0)
+    u = np.concatenate([np.linspace(-1.0, 1.0, 50), np.linspace(1.0, -1.0, 50)])
+    u[nodes[at] : nodes[at + 1] + 1] = u[nodes[at + 1]] + step * np.linspace(0.0, 1.0, nodes[0] + 2)
+    u[nodes[at + 1] + 1 : 50] += 1e-6  # the highest sample is the last one
+    with pytest.raises(IdentificationError, match="does not rise steadily"):
+        closed_form(u, u[None], 7)
+
+
 def driven_alone(k, cycles=4):
     """Record from rest in which input k alone is driven, by the textbook model."""
     u = np.zeros((2, cycles * PERIOD))

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 import theory
 
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.model_selection import fold_squares, parameters_of, trial_of
 from hammerstein.identification.operators import enough_operators, error_curve
+from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.folds import FOLDS, left_out, moments_of_folds
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
@@ -72,3 +76,33 @@ def test_numbers_of_operators_are_not_judged_by_what_one_part_alone_shows():
         held_out[60] * np.ptp(y) / 100.0 < 1.5 * noise_um
     )  # a grid of 0.16 V leaves w h / 4 about a threshold
     assert enough_operators(curve) > 20
+
+
+R, W = np.array([0.0, 1.0, 2.5]), np.array([3.0, 0.8, 0.5])
+PLAYS = Candidate(PrandtlIshlinskii([[Pair(R, W)]]), StaticDynamics(n_outputs=1))
+
+
+def swings(samples, growth=0.0):
+    u = np.linspace(1.0, 1.0 + growth, samples) * 4.0 * np.sin(0.13 * np.arange(samples))
+    return u[None], theory.prandtl_ishlinskii(u[None], [[R]], [[W]])
+
+
+@pytest.mark.parametrize("fold", range(FOLDS))
+def test_a_model_is_judged_with_the_weights_that_suit_the_other_folds(fold):
+    """Readings of one fold of one record suit the model; all others are twice as large."""
+    (u, v), (other_u, other_v) = swings(800), swings(960, 0.5)
+    own = np.arange(800) * 16 // 800 % FOLDS == fold
+    records = [
+        Record(u, np.where(own, v, 2.0 * v), 1e-3, verified=True),
+        Record(other_u, 2.0 * other_v, 1e-3, verified=True),
+    ]
+    found = fold_squares(PLAYS, records, [InitialState("rest")] * 2).reshape(2, FOLDS)
+    size = max(float(np.ptp(record.y_um)) for record in records)
+    assert found[0, fold] == pytest.approx(v[:, own].var() / size**2, rel=0.02)
+
+
+@pytest.mark.parametrize("more", [0, -1])
+def test_three_readings_for_each_free_number_are_enough(more):
+    u, v = swings(3 * parameters_of(PLAYS) + more)
+    record = Record(u, v, 1e-3, verified=True)
+    assert trial_of("plays", PLAYS, [record], [InitialState("rest")], invertible=True).told == (more == 0)

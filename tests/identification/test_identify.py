@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 import theory
-from record_cases import plain
+from record_cases import plain, plays
 
 from hammerstein.dynamics import StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import IdentificationError, InputError
@@ -401,6 +401,21 @@ def test_spectrum_keeps_the_peaks():
     frequency_hz, amplitude = spectrum(error, 1e-3)
     assert amplitude.max() == pytest.approx(2.0, rel=1e-3)
     assert amplitude[np.argmin(np.abs(frequency_hz - 200.0))] == pytest.approx(0.01, rel=0.02)
+
+
+def test_the_closed_form_of_late_readings_is_that_of_prompt_ones():
+    delay = 3
+    u = 10.0 * np.sin(2.0 * np.pi * np.arange(900) / 200)
+    y = plays(u, [0.0, 1.0, 4.0]).T @ [3.0, 1.0, 0.7]
+    late = Record(u[None, delay:], y[None, :-delay], 1e-3)
+    prompt = Record(u[None, delay:-delay], y[None, delay:-delay], 1e-3)
+    asked = {"solver": "closed_form", "operators": 6}
+    found, expected = (
+        identify([one], plain(delay_samples=d, **asked))[0].hysteresis
+        for one, d in ((late, delay), (prompt, 0))
+    )
+    np.testing.assert_allclose(found.weights[0], expected.weights[0], rtol=1e-9)
+    assert found.weights[0].sum() > 3.0
 
 
 def test_closed_form_takes_thresholds_uniform_in_voltage():

@@ -13,6 +13,7 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+from hammerstein.identification.in_loop.periods import settled_periods
 from hammerstein.records.record import Record
 
 TIME_S, SAMPLES = 1e-4, 1024
@@ -85,6 +86,23 @@ def test_a_model_has_what_its_records_have_and_its_error_on_one_that_was_not_fit
     assert fit.validation["in_loop"].rms_um[0] == pytest.approx(error.std(), rel=0.02)
     assert model.verdict.held_out
     assert model.verdict.nrmse_percent[0] == pytest.approx(100.0 * error.std() / np.ptp(y), rel=0.02)
+
+
+@pytest.mark.parametrize("kept", [1, 3])
+@pytest.mark.parametrize("ratio", [0.05, 0.25, 0.5])
+def test_a_period_counts_once_two_in_a_row_differ_by_a_thousandth(ratio, kept):
+    """Of what dies out by a ratio from one to the next; of two outputs the slower one decides."""
+    n, y = 32, np.sin(2.0 * np.pi * np.arange(32) / 32)
+
+    def dying(u):
+        parts = [y * (1.0 + 0.1 * ratio**k) for k in range(u.shape[1] // n)]
+        return np.stack([np.tile(y, len(parts)), 1e-3 * np.concatenate(parts)]), None
+
+    u = np.tile(y, kept)[None]
+    record = Record(u, np.concatenate([u, 1e-3 * u]), TIME_S, period_samples=n, verified=True)
+    (found,) = settled_periods([record], dying)
+    needed = next(k for k in range(9) if 0.1 * ratio**k * (1.0 - ratio) < 1e-3)
+    assert found.warm == n * (needed + 1)
 
 
 @pytest.mark.full

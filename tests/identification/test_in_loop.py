@@ -11,6 +11,7 @@ import pytest
 from hammerstein import HammersteinModel
 from hammerstein.dynamics import on_grid
 from hammerstein.errors import InputError
+from hammerstein.identification.in_loop import search
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import Search, SettledPeriod
 from hammerstein.identification.in_loop.start import with_band, with_ends, with_plays, with_products
@@ -65,6 +66,17 @@ def test_derivatives_are_those_of_differences(moves):
         ends[0][i], ends[1][i] = vector[i] - step, vector[i] + step
         low, high = (0.5 * (period.left(here.at(v).simulate(u, WARM)) ** 2).sum() for v in ends)
         assert gradient[i] == pytest.approx(-(high - low) / (2 * step), rel=3e-3, abs=3e-3)
+
+
+@pytest.mark.parametrize("moves", [1, 2])
+def test_interpreted_the_derivatives_are_the_same(moves, monkeypatch):
+    """Compiled, a place beyond the end of an array would be read and written all the same."""
+    here = made_up(curved=True, moves=moves)
+    period = SettledPeriod(multisine(1)[:, :12], multisine(2)[:, :12], 1.0, 3)
+    compiled = Search()._of_period(here, period)
+    monkeypatch.setattr(search, "differentiate", search.differentiate.py_func)
+    for one, other in zip(compiled, Search()._of_period(here, period), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5 * np.abs(other).max())
 
 
 def test_an_offset_of_the_readings_is_no_error():

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import theory
+from block_fits import task_of
 from scipy.signal import lfilter
 from typer.testing import CliRunner
 
@@ -14,6 +15,7 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
+from hammerstein.identification import kinds
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import FittedBlock, HammersteinFit, trials_of
 from hammerstein.identification.linear.delay import MOST_DELAY
@@ -90,6 +92,44 @@ def test_the_model_counts_from_where_the_actuator_stood_and_is_compensated(tmp_p
 def test_what_does_not_go_together_is_refused(options, says):
     with pytest.raises(InputError, match=says):
         Settings(**options)
+
+
+@pytest.mark.parametrize("kind", ["asymmetric", "rate_dependent"])
+@pytest.mark.parametrize("known", [None, 0])
+@pytest.mark.parametrize("times_s", [(1e-3, 1e-3), (1e-3, 2e-3)])
+@pytest.mark.parametrize("turns", [2.0, 2.3])
+def test_a_delay_is_searched_only_where_nothing_else_looks_like_one(kind, known, times_s, turns):
+    """Not thresholds that grow with the rate, single loops, or records of several sample times."""
+    u = 5.0 * np.cos(2.0 * np.pi * turns * np.linspace(0.0, 1.0, 401))[None]
+    task, _ = task_of(kind, [Record(u, 2.0 * u, time_s) for time_s in times_s], delay_samples=known)
+    free = kind == "asymmetric" and known is None and times_s[0] == times_s[1] and turns != 2.0
+    assert kinds._free_delay(task) == free
+
+
+WRONG = (
+    {"partition": "spline"}, {"hysteresis": "none"}, {"solver": "newton"}, {"dynamics": "third_order"},
+    {"operators": "many"}, {"operators": 0}, {"operators": [3, 4], "partition": "fitted"}, {"ridge": -1.0},
+    {"dynamics": "state_space", "sensor_delay_s": 1e-3}, {"dynamics": "lag", "order": 2}, {"order": 0},
+    {"dynamics": "none", "creep_modes": 1}, {"creep_modes": 99}, {"solver": "closed_form", "dynamics": "lag"},
+    {"solver": "closed_form", "ridge": 1e-3}, {"dead_zones": 3},
+    {"hysteresis": "asymmetric", "dead_zones": 99},
+    {"hysteresis": "preisach", "dynamics": "state_space"},
+    {"hysteresis": "bouc_wen", "solver": "nonnegative"},
+    {"partition": "fitted", "thresholds_v": [0.0, 1.0]},
+    {"partition": "fitted", "dynamics": "state_space"},
+    {"partition": "fitted", "solver": "closed_form"}, {"delay_samples": -1},
+    {"thresholds_v": [1.0, 0.0]},
+    {"sensor_bandwidth_hz": 0.0}, {"sensor_delay_s": -1.0},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_mistake_of_settings_names_the_option_that_is_wrong(wrong):
+    with pytest.raises(InputError) as caught:
+        Settings(**wrong)
+    named = {mistake.where for mistake in caught.value.mistakes}
+    assert {name.removesuffix("_v") for name in named} <= {name.removesuffix("_v") for name in wrong}
+    assert all(" " in mistake.what for mistake in caught.value.mistakes)
 
 
 def test_the_command_writes_a_model_and_its_report(tmp_path, monkeypatch):

@@ -8,9 +8,11 @@ from record_cases import message, plain
 from test_second_order import AXES, SENSOR_HZ, R, T, campaign, record_of
 
 from hammerstein.comparison.compare import compare
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.identify import identify
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
+from hammerstein.records.checks import FEWEST_SAMPLES
 from hammerstein.records.record import Record
 from hammerstein.reporting.fit_page import fit_page
 
@@ -88,6 +90,32 @@ def test_a_period_goes_on_at_its_beginning():
     prompt = SensorModel(delay_s=3e-3).prompt(record)
     assert prompt.samples == 200
     assert np.array_equal(prompt.y_um, 2.0 * prompt.u_v)
+
+
+@pytest.mark.parametrize("more", [0, -1])
+def test_a_delay_may_leave_the_fewest_samples_that_a_record_has(more):
+    u = np.sin(np.linspace(0.0, 12.0, FEWEST_SAMPLES + 5))[None]
+    record, sensor = Record(u, 2.0 * u, 1e-3), SensorModel(delay_s=1e-3 * (5 - more))
+    if more == 0:
+        assert sensor.prompt(record).samples == FEWEST_SAMPLES
+    else:
+        assert "but the sensor delay is 6 samples" in message(sensor.prompt, record)
+
+
+@pytest.mark.parametrize("bandwidth_hz", [None, 200.0])
+@pytest.mark.parametrize("sensor_s", [0.0, 4e-4, 2e-3])
+@pytest.mark.parametrize("actuator_s", [0.0, 3e-4])
+def test_a_gain_has_a_path_where_anything_makes_it_late(actuator_s, sensor_s, bandwidth_hz):
+    """But for whole samples of the sensor, which a prompt record has lost already."""
+    u = np.sin(np.linspace(0.0, 12.0, 300))[None]
+    sensor = SensorModel(bandwidth_hz, sensor_s)
+    paths = sensor.paths(StaticDynamics(n_outputs=1, input_delay_s=actuator_s), [Record(u, u, 1e-3)] * 2)
+    part_s = actuator_s + sensor_s % 1e-3
+    assert len(paths) == 2 * bool(bandwidth_hz or part_s)
+    if bandwidth_hz is None:
+        for path in paths:
+            late = path.respond(np.arange(9.0)[None])[0][0, -1]  # held over a sample: what came before
+            assert late == pytest.approx(8.0 - np.ceil(part_s / 1e-3))
 
 
 def test_mistakes_name_the_delay():

@@ -1,6 +1,7 @@
 """Errors of fitted thresholds: those of refits with other noise, in the file, in the report and in draws."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
+from hammerstein.identification import fit_report, parameter_covariance as covariance
 from hammerstein.identification.identify import identify
 from hammerstein.identification.parameter_covariance import parameter_covariance
 from hammerstein.identification.score import Candidate
@@ -156,6 +158,36 @@ def test_the_errors_of_an_axis_in_the_report_are_those_in_the_model_file():
     (axis,) = fit.axes
     stated = [axis.resonance_error_percent, axis.damping_error_percent]
     assert stated == pytest.approx(100.0 * model.covariance.errors[-2:])
+
+
+def test_what_was_fitted_follows_thresholds_that_were_given():
+    """It moves so that least is added to the squares of the readings and of its own possible changes."""
+    axes = AxesDynamics(axes=(Axis(resonance_hz=90.0, damping_ratio=0.1),))
+    u, plays = drives()[:1], PrandtlIshlinskii([[Pair(R[0], W[0][0])]])
+    truth = HammersteinModel("m", plays, axes, 10.0, ("u",), ("x",)).simulate(u, T).position_um
+    own, start = Record(u, truth, T), InitialState("rest")
+    block = fit_static([own], [[np.array([0.1, 1.0, 2.0, 3.0])]], solver="least_squares").hysteresis
+    scale, cells = covariance._scale(block, 6, [own])
+    told = [covariance._told_by(Candidate(block, axes), own, start, scale, 1)]
+    mean = covariance._pooled(told, block, 2)
+    fitted, places = np.arange(cells, 6), np.flatnonzero(scale[:cells])
+    spread, _ = covariance._of_places(mean, told, fitted, places, scale)
+    added = mean.information[0] @ spread + spread / scale[:, None] ** 2
+    assert np.abs(added[places]).max() > 1.0
+    np.testing.assert_allclose(added[fitted], 0.0, atol=1e-6 * np.abs(added).max())
+
+
+@pytest.mark.parametrize("unit", [0.25, 1.0, 16.0])
+def test_open_thresholds_are_named_unless_they_are_as_good_as_zero(unit):
+    """Below a thousandth of the half swing of their input, in any unit."""
+    u = unit * np.array([[8.0], [2.0]]) * drives() / np.abs(drives()).max(axis=1, keepdims=True)
+    near, far = 0.7e-3 * unit * np.array([8.0, 2.0]), 1.5e-3 * unit * np.array([8.0, 2.0])
+    block = PrandtlIshlinskii([[Pair([near[k], far[k], unit], [1.0, 1.0, 1.0]) for k in range(2)]])
+    task = SimpleNamespace(records=[Record(u, u, T, ("a", "b"))])
+    built = SimpleNamespace(best=SimpleNamespace(candidate=SimpleNamespace(hysteresis=block)))
+    said = fit_report._open_places(task, built, SimpleNamespace(open=(0, 1, 3, 4)))
+    expected = [f"threshold {far[k]:.3g} V of input {'ab'[k]}: " for k in range(2)]
+    assert [text.partition(": ")[0] + ": " for text in said] == expected
 
 
 @pytest.mark.parametrize("noise_um", [1e-9, 1e-8, 1e-7, 1e-5])

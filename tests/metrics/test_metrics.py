@@ -143,6 +143,34 @@ def test_one_pass_gives_the_figures_of_the_definitions(samples):
         np.testing.assert_allclose(metrics.METRICS[name].values(measured), values, rtol=1e-12, err_msg=name)
 
 
+@pytest.mark.parametrize(("scale", "order"), [(1024.0, [0, 1]), (1.0, [1, 0])])
+def test_figures_have_the_unit_of_their_names_and_go_with_their_axes(scale, order):
+    rng = np.random.default_rng(8)
+    wires = 30.0 * rng.standard_normal((1, 2, 1)) + rng.standard_normal((5, 2, t.size))
+    cut = np.zeros((2, t.size), dtype=bool)
+    cut[:, 1200:1230] = [[True], [False]]
+
+    def figures(scale, order):
+        r, p, *targets = scale * wires[:, order]
+        loops = [loop for row in r for loop in metrics.loop_figures(u, row, f, T, 2, 40)]
+        measured = metrics.Measured(
+            T, r, p, cut[order], *targets, 400, loops, scale * np.array([3.0, -7.0])[order]
+        )
+        return {name: metric.values(measured) for name, metric in metrics.METRICS.items()}
+
+    first, other = figures(1.0, [0, 1]), figures(scale, order)
+    assert set(first) >= {
+        "drift_true_um",
+        "euclidean_max_unsaturated_um",
+        "radial_max_um",
+        "phase_deg",
+        "gain",
+    }
+    for name, values in first.items():
+        unit = scale if name.endswith("_um") or name == "gain" else 1.0
+        np.testing.assert_allclose(other[name], unit * np.array(values)[order], rtol=1e-9, err_msg=name)
+
+
 def test_an_error_that_is_no_number_is_no_figure():
     path = np.zeros((2, 100))
     path[1, 70] = np.nan

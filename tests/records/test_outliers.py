@@ -132,3 +132,12 @@ def test_a_record_may_begin_elsewhere():
     found = without_outliers(u, y)
     assert not found.lost_u.any()
     assert not found.lost_y.any()
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1.0, 1e5])
+@pytest.mark.parametrize(("ranges", "is_one"), [(4.0, True), (2.0, False)])
+def test_a_record_may_begin_with_what_stands_for_nothing(ranges, is_one, scale):
+    """The same number again and again, three ranges or more from all others, is no position."""
+    y = 5.0 * U
+    y[0, :9] = y.max() + ranges * np.ptp(y)
+    assert np.flatnonzero(without_outliers(U, scale * y).lost_y[0]).tolist() == [*range(9)] * is_one

@@ -11,6 +11,8 @@ from record_cases import N, U, X, message, plays
 
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
+from hammerstein.records.checks import sample_time, time_tolerance
+from hammerstein.records.gains import lag_rad, pair_gains
 from hammerstein.records.loops import loop_table
 from hammerstein.records.reading import read_paired_records, read_records
 from hammerstein.records.record import Record, driven_inputs
@@ -238,3 +240,44 @@ class TestPairsOnTheCommandLine:
         monkeypatch.chdir(pair)
         assert self.loops("u.npy", "--axes", "sample,experiment", *words) == 2
         assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("samples", [20, 333])
+@pytest.mark.parametrize("step_s", [np.pi * 1e-5, np.pi])
+def test_a_time_of_many_digits_may_be_off_by_a_tenth_of_a_sample(samples, step_s):
+    time_s = 0.7 + step_s * np.arange(samples)
+    assert sample_time(time_s) == pytest.approx(step_s, rel=1e-12)
+    assert time_tolerance(time_s) == pytest.approx(0.1 * step_s, rel=1e-12)
+
+
+@pytest.mark.parametrize(("v", "um", "order"), [(0.125, 8.0, [0, 1]), (1.0, 1.0, [1, 0])])
+def test_what_is_said_of_a_record_has_its_units_and_goes_with_its_axes(v, um, order):
+    """One axis after the other, with cross-couplings of either sign and noise."""
+
+    def told(v, um, order):
+        drive = np.concatenate([U, 0.0 * U]), np.concatenate([0.0 * U, 0.7 * U])
+        moved = np.array([plays(u, [0.5, 3.0]).T @ [3.0, 1.0] for u in drive])
+        y = [[1.0, -0.2], [0.1, 0.8]] @ moved + 0.02 * np.random.default_rng(3).standard_normal((2, 2 * N))
+        names = [tuple(own[k] for k in order) for own in ("ab", "xy")]
+        one = Record(v * np.array(drive)[order], um * y[order], 5e-3, *names)
+        gains = {
+            (g.input, g.output): (g.span_v / v, g.span_um / um, g.um_per_v * v / um)
+            for g in pair_gains([one])
+        }
+        lags = lag_rad([one])
+        for (o, k), lag in np.ndenumerate(lags):
+            gains[names[0][k], names[1][o]] += (lag,)
+        parts = {"amplitude_v": v, "mid_v": v, "area_v_um": v * um} | dict.fromkeys(
+            ("height_um", "width_um", "closure_um", "drift_um"), um
+        )
+        loops = {
+            (loop.input, loop.output, loop.start, loop.turn, loop.stop, loop.settled): tuple(
+                getattr(loop, name) / unit for name, unit in parts.items()
+            )
+            for loop in loop_table(one)
+        }
+        return gains, loops
+
+    for one, other in zip(told(1.0, 1.0, [0, 1]), told(v, um, order), strict=True):
+        assert len(one) >= 4
+        assert other == {key: pytest.approx(values, rel=1e-9, abs=1e-12) for key, values in one.items()}

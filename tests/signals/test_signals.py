@@ -50,6 +50,18 @@ def test_lissajous_repeats_after_its_period():
     np.testing.assert_allclose(figure.sample(t, 2), figure.sample(t + 0.06, 2), atol=1e-9)
 
 
+@pytest.mark.parametrize("ratio", [100.0, 101.0])
+def test_frequencies_of_a_figure_differ_by_a_hundred_times_at_most(ratio):
+    for x_hz, y_hz in ((ratio, 1.0), (1.0, ratio)):
+        asked = {"amplitude": 1.0, "frequency_x_hz": x_hz, "frequency_y_hz": y_hz}
+        if ratio > 100.0:
+            with pytest.raises(ValueError, match="within a factor of 100 of each other"):
+                Lissajous(**asked)
+        else:
+            figure = Lissajous(**asked)
+            np.testing.assert_allclose(figure.sample(t, 2), figure.sample(t + figure.period_s, 2), atol=1e-9)
+
+
 def test_multisine_has_its_lines_and_keeps_its_amplitude():
     signal = Multisine(amplitude=8.0, lowest_hz=10.0, highest_hz=100.0, seed=3)
     time_s = np.arange(2000) * 50e-6
@@ -59,6 +71,18 @@ def test_multisine_has_its_lines_and_keeps_its_amplitude():
     assert np.abs(values).max() <= 8.0
     np.testing.assert_allclose(np.sqrt(np.mean(values**2, axis=1)), 8.0 / 3.0, rtol=1e-9)
     assert (values[0] != values[1]).any()
+
+
+@pytest.mark.parametrize("amplitude", [0.01, 8.0])
+def test_the_peak_of_a_multisine_is_its_amplitude_or_its_rms_a_third_of_it(amplitude):
+    """Of fifty lines whose peaks mostly go farther; the samples lie close enough together for 1 %."""
+    time_s = np.arange(10_000) * 1e-5
+    for seed in range(4):
+        values = Multisine(amplitude=amplitude, lowest_hz=10.0, highest_hz=1000.0, seed=seed).sample(
+            time_s, 2
+        )
+        parts = np.stack([np.abs(values).max(axis=1), 3.0 * values.std(axis=1)]) / amplitude
+        np.testing.assert_allclose(parts.max(axis=0), 1.0, atol=0.01)
 
 
 def test_smooth_start_begins_at_zero_without_a_jump_in_speed():
