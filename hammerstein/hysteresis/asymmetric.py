@@ -14,7 +14,15 @@ from pydantic import Field
 from hammerstein.arrays import Array, ByValue, Flags, Indices, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError
-from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
+from hammerstein.hysteresis.identifiable import (
+    LEAST_ENGAGED,
+    Bounds,
+    ColumnChoice,
+    Driven,
+    Identifiable,
+    Limits,
+    kept_apart,
+)
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
     Hysteresis,
@@ -41,6 +49,10 @@ DEAD_ZONES = (0, 1, 2, 3, 5, 7, 11, 23)
 """Numbers of dead-zones of an input that are tried, in the same way."""
 PLAYS_ALONE = "no dead-zones: this hysteresis is of plays alone"
 """Note on a block without them."""
+SPREAD = ((12, 3), (16, 5))
+"""Thresholds and breakpoints of an input, at equal distances, from which the search for both begins."""
+SHIFT = 1e-6
+"""Change of all places at once for their derivatives, in parts of their range: each moves its own column."""
 BESIDE = 7
 """Dead-zones beside which the number of plays is found."""
 
@@ -191,6 +203,8 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
     zones: tuple[tuple[DeadZones, ...], ...] = field()
     working_point_v: Array | None = None
     weight_covariance: tuple[WeightCovariance, ...] | None = None
+    swing_v: tuple[Array, Array] | None = field(default=None, repr=False, compare=False)
+    """Lowest and highest voltages (m,), as they are sent, while thresholds and breakpoints are fitted [V]."""
 
     kind: ClassVar[str] = "asymmetric"
     wipes_out: ClassVar[bool] = True
@@ -301,9 +315,11 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             ]
             parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
             rows.append([Pair(pair.thresholds_v, w) for pair, w in zip(pairs, parts[::2], strict=True)])
-            zones.append([DeadZones(b.breakpoints_v, w) for b, w in zip(bends, parts[1::2], strict=True)])
+            zones.append(
+                tuple(DeadZones(b.breakpoints_v, w) for b, w in zip(bends, parts[1::2], strict=True))
+            )
         plays = PrandtlIshlinskii(tuple(tuple(row) for row in rows))
-        return Asymmetric(plays, tuple(tuple(row) for row in zones), self.working_point_v)
+        return replace(self, plays=plays, zones=tuple(zones), weight_covariance=None)
 
     @property
     def places(self) -> tuple[Array, ...]:
@@ -318,7 +334,67 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             tuple(DeadZones(np.sort(next(points)), zone.weights_um_per_v) for zone in row)
             for row in self.zones
         )
-        return Asymmetric(plays, zones, self.working_point_v)
+        return replace(self, plays=plays, zones=tuple(zones), weight_covariance=None)
+
+    def released(self, driven: Driven) -> Asymmetric:
+        """Thresholds above 0 and breakpoints, which all outputs share, become free; see ``Identifiable``."""
+        return replace(self, swing_v=(driven.low_v, driven.high_v))
+
+    def settled(self) -> Asymmetric:
+        """Return the block with thresholds and breakpoints as they are; see ``Identifiable``."""
+        return replace(self, swing_v=None)
+
+    @property
+    def free(self) -> Array:
+        """Thresholds above 0 of each input, in parts of half the swing, then its breakpoints within it."""
+        if self.swing_v is None:
+            return np.empty(0)
+        parts, bank = [np.empty(0)], self.plays.bank
+        for k, (low, high) in enumerate(zip(*self.swing_v, strict=True)):
+            span = high - low if high > low else 1.0
+            parts += [bank.r[k, 1 : bank.n[k]] / (0.5 * span), (self.zones[0][k].breakpoints_v - low) / span]
+        return np.concatenate(parts)
+
+    def at(self, free: Array) -> Asymmetric:
+        """Return the same weights with other free thresholds and breakpoints."""
+        if self.swing_v is None:
+            return self
+        bank, thresholds, points, first = self.plays.bank, [], [], 0
+        for k, (low, high) in enumerate(zip(*self.swing_v, strict=True)):
+            middle = first + max(bank.n[k] - 1, 0)
+            last = middle + len(self.zones[0][k].slopes)
+            r, q, first = kept_apart(free[first:middle]), kept_apart(free[middle:last]), last
+            thresholds.append(np.append(bank.r[k, : min(bank.n[k], 1)], 0.5 * (high - low) * r))
+            points.append(low + (high - low) * q)
+        return self.at_places((*thresholds, *points * self.n_outputs))
+
+    def limits(self, driven: Driven) -> Limits:
+        """Within the swing; see ``Identifiable``."""
+        size = len(self.free)
+        return Limits(np.full(size, LEAST_ENGAGED), np.full(size, 1.0 - LEAST_ENGAGED))
+
+    def bends(self, u_v: Array, before_v: Array, passes: int = 1) -> tuple[Array, Array]:
+        """Derivatives by the free places: each moves its own column alone; see ``Identifiable``."""
+        here, moved = self.at(self.free), self.at(self.free + SHIFT)
+        own, each = self.roughness.any(axis=0), []
+        for o, w in enumerate(self.weights):
+            now, then = (np.column_stack(b.columns(u_v, before_v, o, passes)[::-1]) for b in (here, moved))
+            each.append((w[:, None] * (then - now) / SHIFT)[own])
+        found = np.stack(each, axis=1)
+        return found[:, :, 1:], found[:, :, 0]
+
+    @classmethod
+    def spread(cls, driven: Driven) -> list[Asymmetric]:
+        """Few plays and dead-zones, at equal distances, all of them free; see ``Identifiable``."""
+        if driven.given or driven.dead_zones is not None:
+            return []
+        begun = []
+        for plays, zones in SPREAD:
+            shares = np.arange(plays + 1) / (plays + 1)
+            grids = tuple(half * shares if half > 0.0 else np.empty(0) for half in driven.half_swing_v)
+            (block,) = cls.first_guesses(replace(driven, thresholds_v=grids, dead_zones=zones))
+            begun.append(block.released(driven))
+        return begun
 
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[Asymmetric]:
@@ -364,7 +440,9 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             pairs.append(tuple(Pair(p.thresholds_v[m], p.weights_um_per_v[m]) for p, m in own))
             behind = zip(bends, masks[1::2], strict=True)
             zones.append(tuple(DeadZones(z.breakpoints_v[m], z.weights_um_per_v[m]) for z, m in behind))
-        return Asymmetric(PrandtlIshlinskii(tuple(pairs)), tuple(zones), self.working_point_v)
+        return replace(
+            self, plays=PrandtlIshlinskii(tuple(pairs)), zones=tuple(zones), weight_covariance=None
+        )
 
     @property
     def roughness(self) -> Array:

@@ -14,7 +14,15 @@ from pydantic import Field
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
 from hammerstein.errors import IdentificationError, InputError, Mistake
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
-from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits, within_gaps
+from hammerstein.hysteresis.identifiable import (
+    LEAST_ENGAGED,
+    Bounds,
+    Driven,
+    Identifiable,
+    Limits,
+    kept_apart,
+    within_gaps,
+)
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
     Hysteresis,
@@ -25,7 +33,7 @@ from hammerstein.hysteresis.kind import (
     refuse_not_finite,
 )
 from hammerstein.hysteresis.pair import Pair, PlayState, WeightCovariance
-from hammerstein.hysteresis.prandtl_ishlinskii import LEAST_ENGAGED, PrandtlIshlinskii
+from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.hysteresis.shape_kernels import bent_at, tanh_by_doubling
 from hammerstein.quantities import Offset, PerVolt
 
@@ -49,17 +57,6 @@ SMALL = 1e-6
 """Change of a number of an envelope for its derivative."""
 APART = 1e-9
 """Distance, in parts of the range, by which knots are kept in order."""
-
-
-def _kept_apart(places: Array) -> Array:
-    """Thresholds in order, in parts of the half swing, as far apart as that the readings tell two from one.
-
-    Weights of two that nearly coincide would grow until their products are rounding errors: 4.5e8 um/V were
-    seen, for which the sums gave a tenth of the true error.
-    """
-    steps = LEAST_ENGAGED * np.arange(len(places))
-    up = np.maximum.accumulate(np.sort(places) - steps) + steps
-    return np.asarray(np.minimum(up, 1.0 - 0.5 * LEAST_ENGAGED - steps[::-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,7 +368,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         """Return the same weights with other thresholds, which all outputs share, and envelopes."""
         envelopes, thresholds, first = [], [], 0
         for k, (r, one) in enumerate(zip(self._moving, self.envelopes, strict=True)):
-            places = _kept_apart(free[first : first + len(r)])
+            places = kept_apart(free[first : first + len(r)])
             first += len(r)
             envelopes.append(one.with_free(free[first : first + one.n_free]))
             first += one.n_free

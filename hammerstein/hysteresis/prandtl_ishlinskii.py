@@ -14,7 +14,7 @@ from pydantic import Field
 from hammerstein.arrays import Array, frozen, spans
 from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
-from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
+from hammerstein.hysteresis.identifiable import LEAST_ENGAGED, Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
     Hysteresis,
@@ -35,10 +35,6 @@ from hammerstein.hysteresis.pair import (
 
 if TYPE_CHECKING:
     from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
-
-
-LEAST_ENGAGED = 1e-3
-"""Part of the half swing that a threshold must leave, so that its play moves."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -201,12 +201,12 @@ def fit_kind(
         judged=_scores(built, errors.held, errors.held_starts, settings) if errors.held else {},
     )
     tell("estimating the standard errors")
-    known = parameter_covariance(
-        built.best.candidate, task.records, task.starts, plain and built.best.blocks.fitted
-    )
+    best = built.best.candidate
+    placed = built.best.blocks.fitted if plain else best.placed
+    known = parameter_covariance(best, task.records, task.starts, placed)
     voltages = voltages_of(prepared.given, task.records, task.starts)
     fit = fit_of(task, built, prepared.curve, errors, voltages, known)
-    return model_of(fit, built.best.candidate, name, instruments), fit
+    return model_of(fit, best, name, instruments), fit
 
 
 def _silent(_: str) -> None:

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
-from hammerstein.identification.columns import chosen_columns
+from hammerstein.identification.columns import as_good, chosen_columns
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess
@@ -28,9 +28,9 @@ from hammerstein.identification.output_dynamics import (
     search_output_dynamics,
     sure_output_dynamics,
 )
-from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
+from hammerstein.identification.projection import ENOUGH, ROUGHLY, BlockFit, fit_block
 from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
-from hammerstein.identification.score import Candidate, invertibility_of, score
+from hammerstein.identification.score import Candidate, invertibility_of, price, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,
     closed,
@@ -62,7 +62,8 @@ BEGINNING = 20_000
 class FittedBlock:
     """Fitted block of another kind, notes on it, and the ridge of its weights.
 
-    ``picked``: its columns were chosen among many. ``rough``: only its weights need to be found again.
+    ``picked``: its columns were chosen among many. ``placed``: its places were fitted.
+    ``rough``: only its weights need to be found again.
     ``at_limit``: a parameter ended at the limit of what the records determine.
     """
 
@@ -70,6 +71,7 @@ class FittedBlock:
     notes: tuple[str, ...] = ()
     ridge: float = 0.0
     picked: bool = False
+    placed: bool = False
     rough: bool = False
     at_limit: bool = False
 
@@ -350,7 +352,9 @@ def _before(
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
     block, found = _of_kind(late, thresholds_v, found, like, enough)
-    candidate = replace(late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit)
+    candidate = replace(
+        late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit, placed=block.placed
+    )
     return HammersteinFit(candidate, found, block, task.starts)
 
 
@@ -376,8 +380,14 @@ def _of_kind(
         task.progress("trying numbers of operators")
         block, ridge = chosen_columns(task, begins, driven, _dynamics(task, found), ridge)
         begins = [block]
+        few = _of_few_places(task, kind.spread(driven), driven, found, enough)
+        if few is not None and as_good(task, few.block, block, ridge, _dynamics(task, found)):
+            begins, found, picked = [few.block], few.behind, False
+    placed = known.placed if known else not picked and bool(kind.spread(driven))
+    begins = [block.released(driven) for block in begins] if placed else begins
     refined = not picked and (like is None or not like.rough)
     fit = fit_block(task, begins, driven, found, refined=refined, ridge=ridge, enough=enough)
+    fit = fit._replace(hysteresis=cast("Hysteresis[Any]", fit.block.settled()))
     record = task.records[0]
     notes = [*fit.block.statements(record.inputs, record.outputs), *_bounded(task, fit.held)]
     if kind.passes_for_delay:
@@ -389,7 +399,55 @@ def _of_kind(
             "determine them"
         )
     at_limit = bool(fit.at_limit)
-    return FittedBlock(fit.hysteresis, tuple(notes), ridge, picked, at_limit=at_limit), fit.behind
+    return FittedBlock(fit.hysteresis, tuple(notes), ridge, picked, placed, at_limit=at_limit), fit.behind
+
+
+def _of_few_places(
+    task: Task, begins: Sequence[Identifiable], driven: Driven, found: OutputDynamics, enough: float
+) -> BlockFit | None:
+    """A block whose places are fitted, without those that are not worth their price; none without begins.
+
+    All of them are left out before the others move, or else the least one alone.
+    """
+    if not begins:
+        return None
+    samples = sum(record.samples for record in task.records)
+    fit = fit_block(task, begins, driven, found, enough=ROUGHLY)
+    fit = fit_block(task, [fit.block], driven, fit.behind, enough=enough)
+
+    def criterion(one: BlockFit) -> float:
+        columns = len(one.hysteresis.weights[0])
+        return 2.0 * samples * float(np.log(one.rms_um).sum()) + columns * price(one.hysteresis, samples)
+
+    def thinned(most: int) -> BlockFit:
+        fewer = fit
+        for _ in range(most):
+            if (kept := _worth_their_price(fewer, samples)).all():
+                break
+            begun = fewer.block.released(driven).with_columns(kept)
+            fewer = fit_block(task, [begun], driven, fewer.behind, refined=False)
+        return fewer if fewer is fit else fit_block(task, [fewer.block], driven, fewer.behind, enough=enough)
+
+    while True:
+        trials = (thinned(most) for most in (len(fit.block.free), 1))
+        better = next((trial for trial in trials if criterion(trial) < criterion(fit)), None)
+        if better is None:
+            return fit
+        fit = better
+
+
+def _worth_their_price(fit: BlockFit, samples: int) -> Flags:
+    """Every column but the one that is worth least, if that is less than its weights and its place cost.
+
+    The squared error that a column takes away, in parts of the variance, is (w / its standard error)^2.
+    """
+    hysteresis = fit.hysteresis
+    worth = np.zeros(len(hysteresis.weights[0]))
+    for w, known in zip(hysteresis.weights, hysteresis.weight_covariance or (), strict=True):
+        worth = worth + w**2 / np.maximum(np.diag(known.covariance), np.finfo(float).tiny)
+    worth = np.where(fit.block.roughness.any(axis=0), worth, np.inf)
+    least = int(np.argmin(worth))
+    return np.asarray(np.arange(len(worth)) != (least if worth[least] < price(hysteresis, samples) else -1))
 
 
 def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:

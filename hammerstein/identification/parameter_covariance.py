@@ -38,7 +38,7 @@ from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
 from hammerstein.identification.misspecification import moved_beside_other_laws, other_columns
 from hammerstein.identification.rates import fastest_rad_per_s
-from hammerstein.identification.score import Candidate
+from hammerstein.identification.score import Candidate, price
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing, swing_ends
 from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
@@ -52,6 +52,8 @@ RELATED, RELATED_RAD = 16, 0.5
 """Samples over which what a model misses hangs together at most, and angle of the fastest motion."""
 DRAWS = 8
 """Draws by which the error of the model itself is made as large as the records show."""
+HIDDEN = 2
+"""Columns of an input, a threshold and a breakpoint, that can be missing: each is worth just too little."""
 TOLD = 1e-9
 """Information on a way of the places, in parts of the largest, from which the records tell it at all."""
 UNTOLD = 0.9
@@ -89,6 +91,8 @@ def parameter_covariance(
     misfit, squares = _of_places(mean, told, fitted, free[free < cells], scale)
     if not misfit.size:
         misfit, squares = own, _excess(mean)
+    if candidate.placed:
+        squares = max(squares, HIDDEN * hysteresis.n_inputs * price(hysteresis, mean.samples))
     most = _most(misfit[cells:], scale[cells:])
     misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares, most)
     alone = np.linalg.norm(own, axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -30,17 +31,24 @@ _block = lru_cache(maxsize=16)(SensorModel.block)
 """Many starts are tried with one and the same model."""
 
 
+def price(hysteresis: Hysteresis[Any], samples: int) -> float:
+    """Squared error that a place and its weights must take away, in parts of the variance (Schwarz)."""
+    return (1 + hysteresis.n_outputs) * math.log(samples)
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A model under judgement: static block, linear block, and the sensor that stands behind them.
 
     at_limit : whether one of its numbers ended at the limit of what the records can determine
+    placed : whether the places of its hysteresis were fitted
     """
 
     hysteresis: Hysteresis[Any]
     dynamics: Dynamics
     sensor: SensorModel = field(default_factory=SensorModel)
     at_limit: bool = False
+    placed: bool = False
 
     @property
     def slow_s(self) -> float:

@@ -8,9 +8,12 @@ import theory
 from block_fits import columns_for, fit_kind, task_of
 
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
-from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, identifiable
+from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.invertibility import invertibility
+from hammerstein.identification.identify import identify
 from hammerstein.identification.recorded import counted
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.records.record import Record
@@ -237,6 +240,37 @@ def test_the_error_left_out_is_that_of_plain_least_squares_on_coarser_grids():
     expected = np.sqrt(squares / len(u)) / np.ptp(y)
     plays, bends = finest.column_choices(driven)
     assert error(plays.masks[1] & bends.masks[2], 0.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_derivatives_by_places_are_differences_of_the_outputs(monkeypatch):
+    """Each place is moved alone there, and all at once here."""
+    monkeypatch.setattr(identifiable, "STEP", 1e-7)
+    records = records_of(truth())
+    block = truth(records[0].rest_v).released(task_of("asymmetric", records, grids=[R, R])[1])
+    assert len(block.free) == 2 * (len(R) - 1 + len(Q))
+    assert all((a == b).all() for a, b in zip(block.at(block.free).places, block.places, strict=True))
+    u, before = records[0].u_v[:, ::10], records[0].u_v[:, :1]
+    for one, other in zip(block.bends(u, before), Identifiable.bends(block, u, before), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.full
+def test_few_places_are_found_where_the_actuator_has_them():
+    """Thresholds and breakpoints of two inputs, which no grid holds, within their standard errors."""
+    noise_um = 0.02
+    records = records_of(truth(), noise_um)
+    settings = Settings(
+        hysteresis="asymmetric", dynamics="none", delay_samples=0, creep_modes=0, error_curve=False
+    )
+    model, fit = identify(records, settings)
+    found, known = model.hysteresis, model.covariance
+    assert fit.fit[fit.kind].rms_um == pytest.approx(np.full(2, noise_um), rel=0.05)
+    errors = np.split(known.errors, np.cumsum([len(place) for place in found.places]))[:-1]
+    for places, own, true in zip(found.places, errors, [R, R, Q, Q, Q, Q], strict=True):
+        distant = np.abs(places[:, None] - true)
+        near, at = distant.argmin(axis=0), np.arange(len(true))
+        assert (distant[near, at] <= np.maximum(4.0 * own[near], 1e-9)).all()
+        assert len(places) <= len(true) + 2
 
 
 def test_records_without_noise_bear_hardly_any_penalty():
