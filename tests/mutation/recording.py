@@ -82,7 +82,8 @@ def record(kept: Path, paths: Sequence[str]) -> int:
     recorder = Recorder(watch)
     watch.start()
     pytest.main(
-        ["-n0", "-q", "-p", "no:cacheprovider", "--tb=short", *asked_of_pytest(paths)], plugins=[recorder]
+        ["-n0", "-q", "--full", "-p", "no:cacheprovider", "--tb=short", *asked_of_pytest(paths)],
+        plugins=[recorder],
     )
     watch.stop()
     touched = _touched(watch.get_data(), tree, recorder.failed)

@@ -166,6 +166,16 @@ def _pytest(tree: Path, names: Sequence[str], loops: str | None) -> int:
         os.environ["HAMMERSTEIN_CACHE"] = cache
         return int(
             pytest.main(
-                ["-n0", "-x", "-q", "-p", "no:cacheprovider", "--tb=no", f"--basetemp={cache}/t", *names]
+                [
+                    "-n0",
+                    "-x",
+                    "-q",
+                    "--full",
+                    "-p",
+                    "no:cacheprovider",
+                    "--tb=no",
+                    f"--basetemp={cache}/t",
+                    *names,
+                ]
             )
         )
