@@ -323,7 +323,7 @@ def _compiled_loop(
     )
     out = (*voltages.values(), *positions.values())
     for first, stop in spans(samples, 64 + len(plant.block.entries[2])):
-        run_closed_loop(*signals, controller, *instruments, *actuator, first, stop, out, (0,) * p)
+        run_closed_loop(signals, controller, instruments, actuator, first, stop, out, (0,) * p)
     return voltages | positions
 
 
