@@ -58,10 +58,6 @@ class Tables(NamedTuple):
     w: np.ndarray[Any, Any]
     here: np.ndarray[Any, Any]
 
-    def copy(self) -> Tables:
-        """Both anew."""
-        return Tables(self.w.copy(), self.here.copy())
-
 
 def tables(m: int, rows: int) -> Tables:
     """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
@@ -82,7 +78,7 @@ class StaticInverse(Law[S]):
 
     def design_tables(self) -> Tables:
         """Tables of ``pieces`` as they are before a run."""
-        return self._design.copy()
+        return Tables(*(table.copy() for table in self._design))
 
     def statement(self) -> str:
         """State whether there is an inverse, and how far the drive jumps at a reversal."""
