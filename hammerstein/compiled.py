@@ -179,10 +179,8 @@ def _places() -> Iterator[Path]:
 
 def _digest() -> str:
     """Digest of every source that loops are compiled from: what is named ``kernel``, and this file."""
-    digest = hashlib.sha256(Path(__file__).read_bytes())
-    for path in sorted(PACKAGE.rglob("*kernel*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    files = [Path(__file__), *sorted(PACKAGE.rglob("*kernel*.py"))]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
 
 class _Watch(numba_events.Listener):

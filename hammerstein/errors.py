@@ -90,6 +90,12 @@ class InputError(HammersteinError):
         return "\n".join([f"{source}: {count}", *lines])
 
 
+def refuse(source: str, mistakes: Sequence[Mistake]) -> None:
+    """Raise InputError for a source with mistakes; one without is fine."""
+    if mistakes:
+        raise InputError(source, mistakes)
+
+
 @contextlib.contextmanager
 def naming(source: str, instead_of: str | None = None) -> Iterator[None]:
     """Let an InputError name this source, whatever it named, or instead of the given one alone."""

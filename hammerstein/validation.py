@@ -292,3 +292,9 @@ class Strict(BaseModel):
     """A frozen value that refuses keys that it does not know."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class WithInfinity(Strict):
+    """Such a value whose numbers may be infinite, which JSON knows as words alone."""
+
+    model_config = ConfigDict(ser_json_inf_nan="strings")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import control
 import numpy as np
@@ -77,7 +77,7 @@ def _numbers(data: Any) -> Iterator[Array]:
         for part in parts:
             yield from _numbers(part)
     elif isinstance(data, int):
-        yield _limbs(data)
+        yield np.array([float(data >> BITS * limb & 2**BITS - 1) for limb in range(LIMBS)])
     elif not isinstance(data, str):
         yield np.asarray(data, dtype=np.float64).ravel()
 
@@ -92,18 +92,9 @@ def _filled(like: Any, pieces: Iterator[Array]) -> Any:
         return like
     numbers, array = next(pieces), np.asarray(like)
     if isinstance(like, int):
-        return _whole(numbers)
+        return sum(round(limb) << BITS * place for place, limb in enumerate(numbers.tolist()))
     shaped = numbers.reshape(array.shape)
     return np.rint(shaped).astype(np.int64) if np.issubdtype(array.dtype, np.integer) else shaped
-
-
-def _limbs(whole: int) -> Array:
-    """Whole number as digits of 32 bits, each of which a float holds exactly."""
-    return np.array([float(whole >> BITS * limb & 2**BITS - 1) for limb in range(LIMBS)])
-
-
-def _whole(limbs: Array) -> int:
-    return sum(round(limb) << BITS * place for place, limb in enumerate(limbs.tolist()))
 
 
 S = TypeVar("S")
@@ -190,14 +181,6 @@ def signals(wire: str, count: int) -> list[str]:
     return [f"{wire}[{i}]" for i in range(count)]
 
 
-class TimeTrace(NamedTuple):
-    """One trace: time (sample,) [s], inputs (input, sample) and outputs (output, sample)."""
-
-    time_s: Array
-    inputs: Array
-    outputs: Array
-
-
 def time_response(
     time_s: Array, outputs: Mapping[str, Array], inputs: Mapping[str, Array], title: str = "Response"
 ) -> control.TimeResponseData:
@@ -216,8 +199,10 @@ def time_response(
 
 def traces_of(
     data: control.TimeResponseData, inputs: Sequence[str], outputs: Sequence[str]
-) -> Iterator[TimeTrace]:
+) -> Iterator[tuple[Array, Array, Array]]:
     """Every trace of a time response, of the signals with these labels.
+
+    Of each, time (sample,) [s], inputs (input, sample) and outputs (output, sample).
 
     Raises InputError where there are no inputs, or no such signal.
     """
@@ -226,7 +211,7 @@ def traces_of(
     rows_in = _rows(data.input_labels, inputs, "input")
     rows_out = _rows(data.output_labels, outputs, "output")
     for u, y in zip(_by_trace(data.u), _by_trace(data.y), strict=True):
-        yield TimeTrace(np.asarray(data.t, dtype=np.float64), u[rows_in], y[rows_out])
+        yield np.asarray(data.t, dtype=np.float64), u[rows_in], y[rows_out]
 
 
 def _by_trace(values: Array) -> list[Array]:

@@ -7,12 +7,12 @@ from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
 from hammerstein.arrays import Array, Flags
 from hammerstein.errors import InputError
 from hammerstein.quantities import END_V, Bandwidth, End, Limit, Noise, SampleTime, Step
-from hammerstein.validation import Strict
+from hammerstein.validation import WithInfinity
 
 Interval = tuple[End, End]
 
@@ -65,14 +65,12 @@ NOISE_BLOCK = 4096
 """Samples whose noise is drawn at once; it stays in the processor's cache."""
 
 
-class Drive(Strict):
+class Drive(WithInfinity):
     """Digital-to-analogue converter and amplifier: clips, rounds and holds the voltage.
 
     An infinite range or a resolution of zero disables the effect. The published set-up (paper,
     section 5.1) is the default; the paper names the converter, not its resolution: 16 bits are assumed.
     """
-
-    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     range_v: RangeV = Field(
         default=(-10.0, 10.0),
@@ -124,24 +122,17 @@ def _ends(drive: Drive, inputs: int) -> tuple[Array, Array]:
     return drive.steps(inputs), limits + np.array([[-1.0], [1.0]]) * slack_v(limits)
 
 
-class Sensor(Strict):
+class Sensor(WithInfinity):
     """Displacement sensor: first-order bandwidth, noise, range and resolution.
 
     The published set-up (paper, section 5.1) is the default. The paper gives the resolution of 40 nm
     and no noise: it is read both as the converter's step and as the rms noise.
     """
 
-    model_config = ConfigDict(ser_json_inf_nan="strings")
-
     range_um: Limit = Field(default=250.0, description="largest absolute reading; inf: no limit")
     resolution_um: Step = Field(default=0.04, description="step of the reading; 0: none")
     bandwidth_hz: Bandwidth = Field(default=2000.0, description="-3 dB of the first-order lag; inf: none")
     noise_um: Noise = Field(default=0.04, description="rms of the white noise; 0: none")
-
-    @property
-    def is_ideal(self) -> bool:
-        """Whether it reads the true position."""
-        return self == Instruments.ideal().sensor
 
     def read(self, filtered_um: Array, generator: np.random.Generator) -> Array:
         """Readings (output, sample) of positions after the sensor's low-pass."""
@@ -177,10 +168,8 @@ def standard_noise(generator: np.random.Generator, outputs: int, samples: int) -
     return np.ascontiguousarray(generator.standard_normal((samples, outputs)).T)
 
 
-class Instruments(Strict):
+class Instruments(WithInfinity):
     """Drive and sensor of one set-up."""
-
-    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     drive: Drive = Field(default=Drive(), description="converter and amplifier")
     sensor: Sensor = Field(default=Sensor(), description="position sensor")

@@ -98,7 +98,19 @@ class Designed(ABC):
         return ""
 
 
-class Law(Designed, Generic[S]):
+class WithMemory(Designed, Generic[S]):
+    """A compensator whose output depends on earlier samples."""
+
+    @abstractmethod
+    def rest(self) -> S:
+        """State of one that was never used: actuator at its start, reference at zero."""
+
+    def restore(self, data: dict[str, Any]) -> S:
+        """State from what its ``as_dict`` gave."""
+        return self.rest().restored(data)
+
+
+class Law(WithMemory[S]):
     """A sensorless compensator of an actuator with m inputs and p outputs.
 
     ``respond`` and ``step`` work on a stream: their output at sample k is the drive for the reference sample
@@ -114,14 +126,6 @@ class Law(Designed, Generic[S]):
     origin_um: Array
     preview_samples: int = 0
     sample_time_s: float | None = None  # the grid it was designed for; None: any
-
-    @abstractmethod
-    def rest(self) -> S:
-        """State of a law that was never used: actuator at its start, reference at zero."""
-
-    def restore(self, data: dict[str, Any]) -> S:
-        """State from what its ``as_dict`` gave."""
-        return self.rest().restored(data)
 
     @abstractmethod
     def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:
@@ -216,19 +220,11 @@ class Law(Designed, Generic[S]):
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
-class Controller(Designed, Generic[S]):
+class Controller(WithMemory[S]):
     """Compensator with feedback: its sensor reading in one sample acts on the drive of the next.
 
     In each sample ``request`` gives the voltage, the actuator moves, and ``correct`` takes the reading.
     """
-
-    @abstractmethod
-    def rest(self) -> S:
-        """State of a controller that was never used."""
-
-    def restore(self, data: dict[str, Any]) -> S:
-        """State from what its ``as_dict`` gave."""
-        return self.rest().restored(data)
 
     @abstractmethod
     def path_and_feedforward(self, reference_um: ArrayLike) -> tuple[Array, Array]:

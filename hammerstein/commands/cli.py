@@ -112,16 +112,12 @@ def _register() -> None:
         app.command(epilog=f"\b\nExample: hammerstein {example}")(command)
 
 
-def _one_thread_a_job() -> None:
-    """Let the jobs be the parallelism: the linear algebra is small, and its sums then depend on nothing."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # read when numpy is imported, which it is not yet
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; a mistake of the user is one message and an exit code, never a traceback."""
     terminal.make_ready()
-    _one_thread_a_job()
+    # The jobs are the parallelism: the linear algebra is small, and its sums then depend on nothing.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # read when numpy is imported, which it is not yet
     keep_freed_memory()
     sys.exit(_exit_code(arguments))
 
@@ -136,7 +132,9 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
             code = end.code
         except USAGE as mistake:
             code = mistake.exit_code
-            complain(_message_of(mistake))
+            said = io.StringIO()
+            mistake.show(file=said)
+            complain(said.getvalue().rstrip())
         except OSError as error:
             if error.filename is not None:
                 raise
@@ -149,13 +147,6 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
         complain(str(told))
         return told.exit_code
     return code
-
-
-def _message_of(mistake: Any) -> str:
-    """Message of the parser about a command line, made safe to print."""
-    said = io.StringIO()
-    mistake.show(file=said)
-    return said.getvalue().rstrip()
 
 
 def schema() -> None:

@@ -104,7 +104,11 @@ def run(
     _tell_reports(outcomes, reports, out, as_json)
     if open_ and reports:
         _open(_first_page(reports, out))
-    _fail_with(outcomes)
+    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
+    for error in errors:
+        complain(str(error))
+    if errors:
+        raise typer.Exit(max(error.exit_code for error in errors))
 
 
 def _reports_of(paths: Sequence[Path]) -> Path:
@@ -243,15 +247,6 @@ def _planned(
     return process_pool(jobs, whole.seconds if drawn else 0.0)
 
 
-def _fail_with(outcomes: list[Outcome]) -> None:
-    """Tell every error; exit with the code of the gravest."""
-    errors = [outcome.error for outcome in outcomes if outcome.error is not None]
-    for error in errors:
-        complain(str(error))
-    if errors:
-        raise typer.Exit(max(error.exit_code for error in errors))
-
-
 def check(
     paths: Paths,
     baseline: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the baselines.")] = Path(
@@ -295,12 +290,10 @@ def check(
         result = check_files(
             paths, baseline, update_baseline, crew, watch.progress, watch.finished, overwrite
         )
-    if junit is not None:
-        write_output(junit, result.junit(), JUNIT, overwrite)
-    if markdown is not None:
-        write_output(markdown, result.markdown(), SUMMARY, overwrite)
-    if html is not None:
-        write_output(html, check_page(result), CHECK_PAGE, overwrite)
+    texts = (result.junit, result.markdown, lambda: check_page(result))
+    for (_, file, owner), text in zip(outputs, texts, strict=True):
+        if file is not None:
+            write_output(file, text(), owner, overwrite)
     if as_json:
         tell_json(result.as_dict())
     else:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 from hammerstein.errors import HammersteinError, tell_notices
 from hammerstein.escaping import clean, one_line
@@ -33,11 +33,6 @@ def hush(wanted: bool) -> None:
     """Print only mistakes, warnings and JSON; or everything again."""
     global _hushed
     _hushed = wanted
-
-
-def hushed() -> bool:
-    """Whether a person wants to read no more than that."""
-    return _hushed
 
 
 class OutputError(HammersteinError):
@@ -122,16 +117,12 @@ def settle() -> None:
 
 def nobody_listens(error: OSError) -> None:
     """Drop the remaining output; a reader that stops early, such as ``head``, is no mistake."""
-    _drop(sys.stdout)
-    if not isinstance(error, BrokenPipeError):
-        raise OutputError(f"the output cannot be written ({reason_of(error)})") from None
-
-
-def _drop(stream: TextIO) -> None:
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
+        os.dup2(nowhere, sys.stdout.fileno())
         os.close(nowhere)
+    if not isinstance(error, BrokenPipeError):
+        raise OutputError(f"the output cannot be written ({reason_of(error)})") from None
 
 
 class Watch:
@@ -142,7 +133,7 @@ class Watch:
         self.bar: Any = None
 
     def __enter__(self) -> Watch:
-        if sys.stderr.isatty() and not hushed():
+        if sys.stderr.isatty() and not _hushed:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -188,12 +179,12 @@ class Spinner:
         self.told_s = time.monotonic()
 
     def __enter__(self) -> Spinner:
-        if sys.stderr.isatty() and not hushed():
+        if sys.stderr.isatty() and not _hushed:
             from rich.console import Console
 
             self.status = Console(stderr=True).status(self.first or "reading")
             self.status.start()
-        elif self.first and not hushed():
+        elif self.first and not _hushed:
             complain(self.first)
         return self
 
@@ -207,7 +198,7 @@ class Spinner:
             from rich.text import Text
 
             self.status.update(Text(clean(what)))
-        elif not hushed() and time.monotonic() - self.told_s >= EVERY_S:
+        elif not _hushed and time.monotonic() - self.told_s >= EVERY_S:
             self.told_s = time.monotonic()
             complain(what)
 
@@ -224,7 +215,7 @@ def watched() -> Iterator[Onlooker]:
     with Spinner() as spinner:
 
         def begin(work: PathWork) -> None:
-            if work.seconds > TOLD_S and not hushed():
+            if work.seconds > TOLD_S and not _hushed:
                 complain(work.statement())
 
         yield Onlooker(begin, spinner.tell)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -337,13 +337,7 @@ class Missed:
         span = float(self.limits.span_v.max())
         if getattr(self.compensator, "softening_v", None) != 0.0 or not np.isfinite(span):
             return
-        for part in SOFTENED:
-            volts = float(f"{part * span:.2g}")
-            softer = self.compensator.model_copy(update={"softening_v": volts})
-            left, within = self._attempt(softer, self.path_um)
-            if within:
-                yield left, f"{self.prefix} --softening-v {volts:g}".strip()
-                return
+        yield from self._first(self.path_um, self.prefix, "softening_v", (part * span for part in SOFTENED))
 
     def _filtered(self, path_um: Array, prefix: str) -> Iterator[tuple[float, str]]:
         """The highest bandwidth of the reference filter with which a path is within reach.
@@ -354,10 +348,17 @@ class Missed:
             return
         nyquist = 0.5 / self.model.instruments.drive.sample_time_s
         lowest = max(4.0 * nyquist / path_um.shape[1], nyquist / FILTER_DECADES)
-        for frequency in np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS):
-            rounded = float(f"{frequency:.2g}")
-            slower = self.compensator.model_copy(update={"filter_hz": rounded})
-            left, within = self._attempt(slower, path_um)
+        yield from self._first(
+            path_um, prefix, "filter_hz", np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS)
+        )
+
+    def _first(
+        self, path_um: Array, prefix: str, option: str, values: Iterable[float]
+    ) -> Iterator[tuple[float, str]]:
+        """The first value of an option, of two digits, with which a path is within reach."""
+        for value in (float(f"{each:.2g}") for each in values):
+            tried = self.compensator.model_copy(update={option: value})
+            left, within = self._attempt(tried, path_um)
             if within:
-                yield left, f"{prefix} --filter-hz {rounded:g}".strip()
+                yield left, f"{prefix} --{option.replace('_', '-')} {value:g}".strip()
                 return

@@ -21,7 +21,14 @@ from hammerstein.compensators.drive_file import (
     refuse_flagged,
     verdict_statements,
 )
-from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, drive_csv, read_path
+from hammerstein.compensators.path_file import (
+    CYCLE_COST,
+    UNWATCHED,
+    Onlooker,
+    drive_csv,
+    predicted_groups,
+    read_path,
+)
 from hammerstein.dynamics import linearised, on_grid
 from hammerstein.errors import SimulationError
 from hammerstein.metrics import rms
@@ -73,10 +80,6 @@ class Cycle:
         """Position less path (p, N) in a settled period [um]."""
         return self.played_um - self.reference_um
 
-    def play(self, drive_v: Array) -> tuple[Array, float]:
-        """Position (p, N) in the last of ten periods of other voltages on the same grid, and its closure."""
-        return played(self.model, self.limits, drive_v, self.sample_time_s)
-
     def largest_steps_v(self) -> tuple[float, float]:
         """Largest step between samples [V]: of run-up and period, and of the period alone from the start."""
         start = self.limits.start_v[:, None]
@@ -110,13 +113,8 @@ class Cycle:
 
     def to_csv(self) -> str:
         """Text of the drive file: one period."""
-        inputs, outputs = self.model.inputs, self.model.outputs
         time_s = np.arange(self.drive_v.shape[1], dtype=np.float64) * self.sample_time_s
-        groups = (
-            ("drive", "v", inputs, self.drive_v),
-            ("reference", "um", outputs, self.reference_um),
-            ("predicted", "um", outputs, self.played_um),
-        )
+        groups = predicted_groups(self.model, self.drive_v, self.reference_um, self.played_um)
         return drive_csv(time_s, groups, ["Voltages of one period: absolute, in V.", *self.statements()])
 
 
@@ -348,7 +346,8 @@ def held_least(cycle: Cycle, points: int) -> Array:
 
 def held_error(cycle: Cycle, table: Array, hold: int) -> Array:
     """Error (p, N) of a period [um] whose voltages (m, n) are each held over so many samples."""
-    return np.asarray(cycle.play(np.repeat(table, hold, axis=1))[0] - cycle.reference_um)
+    sent = np.repeat(table, hold, axis=1)
+    return np.asarray(played(cycle.model, cycle.limits, sent, cycle.sample_time_s)[0] - cycle.reference_um)
 
 
 def _periodic_response(cycle: Cycle, hold: int) -> Complex:

@@ -16,7 +16,14 @@ from hammerstein.blocks import Law, checked_reference
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.added_motion import approached, lead_in
 from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, Missed, Prediction, compensator_of
-from hammerstein.compensators.path_file import UNWATCHED, Onlooker, Tell, drive_csv, read_path
+from hammerstein.compensators.path_file import (
+    UNWATCHED,
+    Onlooker,
+    Tell,
+    drive_csv,
+    predicted_groups,
+    read_path,
+)
 from hammerstein.compensators.reach import Reach, Shortfall, reach
 from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.model import HammersteinModel
@@ -191,12 +198,7 @@ class Compensation:
 
         tell : told how many rows are written
         """
-        inputs, outputs = self.model.inputs, self.model.outputs
-        groups = (
-            ("drive", "v", inputs, self.drive_v),
-            ("reference", "um", outputs, self.reference_um),
-            ("predicted", "um", outputs, self.shortfall.predicted_um),
-        )
+        groups = predicted_groups(self.model, self.drive_v, self.reference_um, self.shortfall.predicted_um)
         return drive_csv(self.time_s, groups, [HEADING, *self.statements()], tell)
 
 

@@ -206,12 +206,12 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
 
         plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
         assert isinstance(plays, PlayState)
-        drive, b = np.empty_like(wanted_um), hysteresis.bank
-        options = (self._axes, self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
+        drive, b, axes = np.empty_like(wanted_um), hysteresis.bank, self._axes
+        law = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
         stack = (plays.count, plays.end, plays.x, plays.d, plays.below)
         bank = (b.r, b.slope, b.moment)
         for first, stop in spans(wanted_um.shape[1], 64 * self.iterations):
-            respond_inverse_multiplicative(wanted_um, *options, *bank, *stack, memory, first, stop, drive)
+            respond_inverse_multiplicative(wanted_um, axes, law, bank, stack, memory, first, stop, drive)
         return drive, FeedbackState(plays, memory)
 
 

@@ -48,36 +48,19 @@ def feed_back(gain, pole, u, v, memory):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def respond_inverse_multiplicative(  # type: ignore[no-untyped-def]
-    reference,
-    axes,
-    gain,
-    pole,
-    iterations,
-    low,
-    high,
-    r,
-    slope,
-    moment,
-    count,
-    end,
-    x,
-    d,
-    below,
-    memory,
-    first,
-    stop,
-    drive,
-):
+def respond_inverse_multiplicative(reference, axes, law, bank, plays, memory, first, stop, drive):  # type: ignore[no-untyped-def]
     """U[k] = K Y_r[k] + f[k],  f[k+1] = a f[k] + (1 - a) (U[k] - K Gamma(U[k])); a = 0: one-sample delay.
 
     Every pass is a step of the filter; with several in a sample, a is that of their time.
 
     reference : (m, N); axes : m zeros in a tuple: a number that the compiler knows, for it unrolls loops
-    gain : (m, m) [V/um]; pole : a; low, high : (m,) range of the drive [V]
-    r, slope, moment : threshold grids and partial sums; count, end, x, d, below : play memory, updated
+    law : gain (m, m) [V/um], a, iterations, and lowest and highest voltage (m,) of the drive [V]
+    bank : threshold grids and partial sums; plays : count, end, x, d and below of their memory, updated
     memory : (m,) f, updated; drive : (m, N), overwritten from sample first up to stop
     """
+    gain, pole, iterations, low, high = law
+    r, slope, moment = bank
+    count, end, x, d, below = plays
     m = len(axes)
     u, v = np.empty(m), np.empty(m)
     for t in range(first, stop):
@@ -161,23 +144,8 @@ def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
     after = memory.copy()
     sound = from_rest(sample, frame, reference)
     if sound:
-        respond_inverse_multiplicative(
-            reference,
-            axes,
-            gain,
-            pole,
-            iterations,
-            limits[0],
-            limits[1],
-            r,
-            slope,
-            moment,
-            *plays,
-            after,
-            0,
-            1,
-            drive,
-        )
+        law, bank = (gain, pole, iterations, limits[0], limits[1]), (r, slope, moment)
+        respond_inverse_multiplicative(reference, axes, law, bank, plays, after, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
     return sent, plays, after, sound
 

@@ -199,13 +199,23 @@ def _resampled(times: Array, sample_time_s: float) -> str:
 
 
 Tell = Callable[[str], None]
+Group = tuple[str, str, Sequence[str], Array]
+"""Columns of a drive file: their word, unit and axes, and the signals (axis, sample)."""
 ROWS_AT_ONCE = 100_000
 """Rows of text that are in memory together."""
 
 
+def predicted_groups(
+    model: HammersteinModel, drive_v: Array, reference_um: Array, predicted_um: Array
+) -> list[Group]:
+    """Columns of a drive file with its path and what a model predicts."""
+    paths = (("reference", reference_um), ("predicted", predicted_um))
+    return [("drive", "v", model.inputs, drive_v), *((word, "um", model.outputs, um) for word, um in paths)]
+
+
 def drive_csv(
     time_s: Array,
-    groups: Sequence[tuple[str, str, Sequence[str], Array]],
+    groups: Sequence[Group],
     statements: Sequence[str],
     tell: Tell | None = None,
 ) -> str:

@@ -62,10 +62,6 @@ class MatrixForm(Strict):
         """Number of inputs."""
         return len(self.D[0])
 
-    def grid_words(self) -> str:
-        """Say whether it has a sample time of its own."""
-        return sampling(self.sample_time_s)
-
 
 class FeedbackHysteresisDynamics(MatrixForm):
     """A linear block with hysteresis of any kind inside its loop, continuous or on a fixed sample time.
@@ -122,7 +118,7 @@ class FeedbackHysteresisDynamics(MatrixForm):
     def describe(self) -> str:
         """Short description."""
         inside = f"with {self.hysteresis.kind} in its loop"
-        return f"state space of order {len(self.A)} {inside}, {self.grid_words()}"
+        return f"state space of order {len(self.A)} {inside}, {sampling(self.sample_time_s)}"
 
     def block(self) -> FeedbackBlock:
         """Return its matrices, in continuous time or on its own sample time."""

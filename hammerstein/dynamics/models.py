@@ -23,7 +23,16 @@ from hammerstein.dynamics.feedback_hysteresis import (
 )
 from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, low_pass, unit_gain
 from hammerstein.errors import InputError
-from hammerstein.quantities import Axes, CreepGain, Damping, Delay, Resonance, TimeConstant, interval
+from hammerstein.quantities import (
+    Axes,
+    CreepGain,
+    Damping,
+    Delay,
+    Resonance,
+    TimeConstant,
+    interval,
+    sampling,
+)
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
@@ -221,7 +230,7 @@ class StateSpaceDynamics(MatrixForm):
 
     def describe(self) -> str:
         """Short description."""
-        return f"state space of order {len(self.A)}, {self.grid_words()}"
+        return f"state space of order {len(self.A)}, {sampling(self.sample_time_s)}"
 
     @classmethod
     def of(

@@ -34,19 +34,10 @@ class PredictionState(NamedTuple):
     linear: Array | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A response and its targets, on the samples that the scenario records.
+def recorded(setup: SetUp, case: Case) -> tuple[Response, Sequence[Target | None]]:
+    """Response and targets of a case, on the samples that the scenario records.
 
-    targets : a single None where there is nothing to compare with
-    """
-
-    response: Response
-    targets: Sequence[Target | None]
-
-
-def recorded(setup: SetUp, case: Case) -> Recording:
-    """Simulate a case and keep one of ``measure.record_every`` samples.
+    A single None is the target where there is nothing to compare with.
 
     The models predict from every sample. A case that can be is simulated part by part.
     """
@@ -59,7 +50,7 @@ def recorded(setup: SetUp, case: Case) -> Recording:
         found, memory = targets_of(setup, case, part, memory)
         parts.append(part.every(every))
         targets.append([None if target is None else target.part(recorded_part) for target in found])
-    return Recording(Response.joined(parts), [_joined(same) for same in zip(*targets, strict=True)])
+    return Response.joined(parts), [_joined(same) for same in zip(*targets, strict=True)]
 
 
 def targets_of(
@@ -219,8 +210,7 @@ class Result:
 
 def rows_of(setup: SetUp, case: Case) -> Result:
     """Simulate one case and measure it."""
-    recording = recorded(setup, case)
-    response, targets = recording.response, recording.targets
+    response, targets = recorded(setup, case)
     _refuse_still(setup, case, response)
     window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)

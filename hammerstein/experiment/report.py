@@ -134,7 +134,7 @@ class Report(NotebookRepr):
     @property
     def reads_truth(self) -> bool:
         """Whether the sensor is ideal, so that its readings equal the true position."""
-        return self.instruments.sensor.is_ideal
+        return self.instruments.sensor == Instruments.ideal().sensor
 
     def without_traces(self) -> Report:
         """Return the report without its traces, as small as its file."""

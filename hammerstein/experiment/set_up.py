@@ -19,7 +19,7 @@ from hammerstein.blocks import Controller, Law, Learner
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
-from hammerstein.errors import IdentificationError, InputError, Mistake, SimulationError, labelled
+from hammerstein.errors import IdentificationError, InputError, Mistake, SimulationError, labelled, refuse
 from hammerstein.experiment.simulated_identification import IlcRun, IlcRuns, whole_period
 from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
@@ -365,8 +365,7 @@ def _check_signal(scenario: Scenario, plant: Plant, source: str) -> None:
             unit: Kind = "voltage" if scenario.reference is None else "displacement"
             _check_order(signal, scenario_axes(scenario, plant.model), unit)
     mistakes += _too_fast(scenario, plant)
-    if mistakes:
-        raise InputError(source, list(dict.fromkeys(mistakes)))
+    refuse(source, list(dict.fromkeys(mistakes)))
     if scenario.reference is not None:
         _check_reach(scenario, plant, source)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hammerstein.errors import HammersteinError, InputError, Mistake
+from hammerstein.errors import HammersteinError, InputError, Mistake, refuse
 from hammerstein.experiment.case_cache import rows_from
 from hammerstein.experiment.plan import Part, Plan, experiments_of, plan_of
 from hammerstein.experiment.run import rows_alone
@@ -168,8 +168,7 @@ def _refuse_fractions(study: Study, whole: set[str], name: str) -> None:
         for key, found in listed.items()
         if found
     ]
-    if mistakes:
-        raise InputError(name, mistakes)
+    refuse(name, mistakes)
 
 
 def _rounded(values: Mapping[str, float], whole: set[str]) -> dict[str, float]:

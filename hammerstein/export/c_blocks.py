@@ -135,14 +135,9 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
 
 def _window(row: Array) -> dict[str, Any]:
     """How often an input turned lately, as its memory in C counts it."""
-    counts = {
-        "busy": busy_kernels.BUSY,
-        "seen": busy_kernels.SEEN,
-        "turns": busy_kernels.TURNS,
-        "rested": busy_kernels.RESTED,
-    }
-    voltages = {"last": busy_kernels.LAST, "before": busy_kernels.BEFORE}
-    return {name: int(row[i]) for name, i in counts.items()} | {name: row[i] for name, i in voltages.items()}
+    names = ("busy", "seen", "turns", "rested", "last", "before")
+    found = {name: row[getattr(busy_kernels, name.upper())] for name in names}
+    return found | {name: int(found[name]) for name in names[:4]}
 
 
 @c_block_of.register
@@ -340,18 +335,13 @@ def c_moving_block_of(hysteresis: Any, state: Any) -> CPart:
 @c_moving_block_of.register
 def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
     """Stack of segments, with the contribution of the segments below each."""
-    rows = hysteresis.bank.r.shape[1] + 1
+    rows, stack = hysteresis.bank.r.shape[1] + 1, (state.end, state.x, state.d, state.below)
     plays = [
         {
             "count": int(state.count[k]),
             "stack": [
-                {
-                    "end": int(state.end[k, s]),
-                    "x": state.x[k, s],
-                    "d": state.d[k, s],
-                    "below": state.below[k, s],
-                }
-                for s in range(rows)
+                {"end": int(end), "x": x, "d": d, "below": below}
+                for end, x, d, below in zip(*(part[k, :rows] for part in stack), strict=True)
             ],
         }
         for k in range(hysteresis.n_inputs)
@@ -377,8 +367,13 @@ def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:
     )
 
 
-def linear_part(block: LinearBlock) -> CPart:
-    """Linear block from rest, by its non-zero entries."""
+def dynamics_part(block: LinearBlock | FeedbackBlock) -> CPart:
+    """Dynamics from rest: a linear block by its non-zero entries, or plays in their loop.
+
+    Raises InputError for another hysteresis in the loop.
+    """
+    if isinstance(block, FeedbackBlock):
+        return _loop_part(block)
     n = len(block.A)
     start, column, value = block.entries
     row = np.repeat(np.arange(len(start) - 1), np.diff(start))
@@ -394,20 +389,7 @@ def linear_part(block: LinearBlock) -> CPart:
     )
 
 
-@singledispatch
-def dynamics_part(block: LinearBlock | FeedbackBlock) -> CPart:
-    """Dynamics from rest, linear or with plays in their loop.
-
-    Raises InputError for another hysteresis in the loop.
-    """
-    raise TypeError(type(block).__name__)
-
-
-dynamics_part.register(LinearBlock)(linear_part)
-
-
-@dynamics_part.register
-def _(block: FeedbackBlock) -> CPart:
+def _loop_part(block: FeedbackBlock) -> CPart:
     """Plays in the loop, one after the other; the order of all sums is that of the compiled loop."""
     gamma = block.hysteresis
     if not isinstance(gamma, PrandtlIshlinskii):

@@ -57,17 +57,15 @@ def _(law: LoopInverseLaw) -> CPart:
 
 def _range(limits: DriveRange) -> CPart:
     """Range as it is sent, and the working point from which a law counts."""
-    tables = [
-        Table("lowest_v", limits.low_v, "Lowest voltage of the drive [V]."),
-        Table("highest_v", limits.high_v, "Highest voltage of the drive [V]."),
-    ]
-    if has := bool(limits.working_point_v.any()):
-        tables.append(_working_point(limits))
-    return CPart(tables=tuple(tables), values={"has_working_point": has})
+    low = Table("lowest_v", limits.low_v, "Lowest voltage of the drive [V].")
+    high = Table("highest_v", limits.high_v, "Highest voltage of the drive [V].")
+    return CPart(tables=(low, high)) + _working_point(limits)
 
 
-def _working_point(limits: DriveRange) -> Table:
-    return Table("working_point", limits.working_point_v, "Voltage at which the plays are at rest [V].")
+def _working_point(limits: DriveRange) -> CPart:
+    rest, what = limits.working_point_v, "Voltage at which the plays are at rest [V]."
+    has = bool(rest.any())
+    return CPart(tables=(Table("working_point", rest, what),) * has, values={"has_working_point": has})
 
 
 def _origin(origin_um: Array) -> CPart:
@@ -331,8 +329,5 @@ def _(law: HammersteinInverseLaw) -> CPart:
 
 @c_law_of.register
 def _(law: ForwardModel) -> CPart:
-    limits = law.range
     part = c_block_of(law.model.hysteresis, law.rest().hysteresis) + dynamics_part(law.block)
-    if has := bool(limits.working_point_v.any()):
-        part += CPart(tables=(_working_point(limits),))
-    return part + CPart(values={"has_working_point": has})
+    return part + _working_point(law.range)

@@ -42,13 +42,6 @@ _PROCESSORS = {"AMD64": "x86_64", "arm64": "aarch64"}
 _OLDER = {"linux": "linux", "darwin": "darwin", "windows": "win"}
 
 
-def unit_files(version: int, context: Mapping[str, Any]) -> dict[str, str]:
-    """Text of what a unit of FMI 2.0 or 3.0 has beside the law."""
-    templates = {UNIT: f"fmi{version}.c.jinja", DESCRIPTION: f"fmi{version}.xml.jinja"}
-    templates |= {BUILD: f"{BUILD}.jinja"} if version == 3 else {}
-    return {name: rendered(template, **context) for name, template in templates.items()}
-
-
 def fmu_context(sources: str, sample_time_s: float, n_entering: int, columns: list[str]) -> dict[str, Any]:
     """Names that the templates of a unit ask for besides those of the law.
 
@@ -156,7 +149,9 @@ def files_of(code: CCode, measured: MeasuredCode | None = None) -> dict[str, str
     unit: dict[str, str] = {}
     if request.form == "fmu":
         context |= fmu_context(header + source, request.sample_time_s, code.shape.entering, _columns(code))
-        unit = unit_files(request.fmi, context)
+        templates = {UNIT: f"fmi{request.fmi}.c.jinja", DESCRIPTION: f"fmi{request.fmi}.xml.jinja"}
+        templates |= {BUILD: f"{BUILD}.jinja"} if request.fmi == 3 else {}
+        unit = {name: rendered(template, **context) for name, template in templates.items()}
     return unit | {
         f"{code.name}.h": header,
         f"{code.name}.c": source,

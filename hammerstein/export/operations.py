@@ -11,7 +11,6 @@ calls itself, and nothing outside the file is called. ``Code`` refuses code that
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -52,7 +51,9 @@ class Code:
 
         self.name = name
         self._tree: Any = c_parser.CParser().parse(KNOWN_TYPES + _plain(header) + _plain(source))
-        self._enums = dict(self._constants())
+        kinds = (one.type for one in self._tree.ext if type(one).__name__ == "Decl")
+        enums = (kind for kind in kinds if type(kind).__name__ == "Enum")
+        self._enums = {one.name: int(one.value.value) for kind in enums for one in kind.values.enumerators}
         self._functions: dict[str, Any] = {
             found.decl.name: found for found in self._tree.ext if type(found).__name__ == "FuncDef"
         }
@@ -122,12 +123,6 @@ class Code:
             left, right = self._value(node.left), self._value(node.right)
             return {"+": left + right, "-": left - right, "*": left * right}[node.op]
         raise InternalError("exported code: a loop whose end is not a constant")
-
-    def _constants(self) -> Iterator[tuple[str, int]]:
-        for found in self._tree.ext:
-            if type(found).__name__ == "Decl" and type(found.type).__name__ == "Enum":
-                for one in found.type.values.enumerators:
-                    yield one.name, int(one.value.value)
 
     # ---- bytes ----
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import ConfigDict, Field, JsonValue
+from pydantic import Field, JsonValue
 
 from hammerstein.arrays import Array, ByValue
 from hammerstein.blocks.instruments import Instruments
@@ -21,14 +21,14 @@ from hammerstein.blocks.law import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import Dynamics, StaticDynamics, WithLoop
 from hammerstein.dynamics.feedback_hysteresis import MatrixForm
-from hammerstein.errors import InputError, Mistake, naming
+from hammerstein.errors import InputError, Mistake, naming, refuse
 from hammerstein.files import digest_of, is_there, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Normals
 from hammerstein.model.covariance import ParameterCovariance, ParameterCovarianceFile, drawn_blocks
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.plugins import looked_up
 from hammerstein.quantities import Name, Plain, Size, no_name, unique, word
-from hammerstein.validation import Strict, mistakes_in, suggestion
+from hammerstein.validation import WithInfinity, mistakes_in, suggestion
 
 if TYPE_CHECKING:
     from hammerstein.blocks.block_system import BlockSystem
@@ -107,8 +107,7 @@ class HammersteinModel(ByValue, NotebookRepr):
             mistakes.append(Mistake("covariance", misfit))
         if free and (unstable := free.instability()):
             mistakes.append(Mistake("dynamics.A", unstable))
-        if mistakes:
-            raise InputError(f"model {self.name}", mistakes)
+        refuse(f"model {self.name}", mistakes)
 
     @cached_property
     def recorded(self) -> Voltages:
@@ -335,10 +334,8 @@ class HammersteinModel(ByValue, NotebookRepr):
         return NUMBERS.sub(lambda found: f"[{' '.join(found[1].split())}]", text) + "\n"
 
 
-class ModelFile(Strict):
+class ModelFile(WithInfinity):
     """Content of a model file: hysteresis, dynamics, voltages, names, verdict and provenance."""
-
-    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     format: Literal["hammerstein-model/2"] = "hammerstein-model/2"
     name: Name

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.errors import InputError, Mistake, naming
+from hammerstein.errors import InputError, Mistake, naming, refuse
 from hammerstein.records import checks
 from hammerstein.records.checks import refuse_large as refuse_large
 from hammerstein.records.file_formats import (
@@ -51,7 +51,7 @@ def array_columns(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
     ------
     InputError : unreadable file, unknown variables and columns (all at once), columns of different length
     """
-    variables = _variables(path)
+    variables = variables_of(path)
     columns: list[Array] = []
     units: list[str] = []
     mistakes: list[Mistake] = []
@@ -66,14 +66,8 @@ def array_columns(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
     if not mistakes and len(lengths) > 1:
         listed = ", ".join(f"{name} {len(column)}" for name, column in zip(wanted, columns, strict=True))
         mistakes.append(Mistake("columns", f"have different numbers of samples: {listed}"))
-    if mistakes:
-        raise InputError(str(path), mistakes)
+    refuse(str(path), mistakes)
     return np.vstack(columns), units
-
-
-def array_units(path: Path) -> dict[str, str]:
-    """Names of the arrays of a file, and the unit that it states for each; empty where it states none."""
-    return {name: variable.unit for name, variable in _variables(path).items()}
 
 
 def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
@@ -81,7 +75,7 @@ def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
 
     Raises InputError where the file cannot be read.
     """
-    for name, variable in _variables(path).items():
+    for name, variable in variables_of(path).items():
         try:
             shape = np.shape(variable.load())
         except InputError as error:
@@ -109,7 +103,7 @@ def whole_array(path: Path, variable: str) -> Array:
     ------
     InputError : unreadable file or unknown variable
     """
-    variables = _variables(path)
+    variables = variables_of(path)
     with naming(str(path)):
         return _loaded(variables, variable)
 
@@ -183,7 +177,8 @@ def _column(array: Array, column: str, numbers: Sequence[int]) -> Array:
     return np.asarray(array[tuple(n - 1 for n in numbers)])
 
 
-def _variables(path: Path) -> Variables:
+def variables_of(path: Path) -> Variables:
+    """Arrays of a file by their names, each with the unit that the file states; InputError if unreadable."""
     suffix = path.suffix.lower()
     try:
         return _READERS[suffix](path)
@@ -228,16 +223,11 @@ def _declared(path: Path, name: str) -> tuple[tuple[int, ...], int]:
 def _matlab(path: Path) -> Variables:
     with path.open("rb") as file:
         begin = file.read(HEADER_BYTES + len(HDF5))
-    return (
-        _hdf5(path, matlab=True) if HDF5 in (begin[: len(HDF5)], begin[HEADER_BYTES:]) else _matlab_old(path)
-    )
-
-
-def _matlab_old(path: Path) -> Variables:
-    """Versions 4 to 7.2."""
-    if is_matlab_v5(path):
+    if HDF5 in (begin[: len(HDF5)], begin[HEADER_BYTES:]):
+        return _hdf5(path, matlab=True)
+    if is_matlab_v5(begin):
         content = read_matlab_v5(path, most_bytes=8 * checks.MOST_NUMBERS)
-    elif is_matlab_v4(path):
+    elif is_matlab_v4(begin):
         content = _matlab_v4(path)
     else:
         raise ValueError("it has neither the byte-order mark of version 5 nor the first number of version 4")

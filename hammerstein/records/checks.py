@@ -80,15 +80,6 @@ def far_mistakes(
         yield from not_listed(where(name), len(far), "such places further down")
 
 
-def length_mistakes(samples: int) -> Iterator[Mistake]:
-    """Too few samples to identify anything."""
-    if samples < FEWEST_SAMPLES:
-        yield Mistake(
-            "length",
-            f"{samples} samples are too few; give {FEWEST_SAMPLES} or more, at least one full cycle",
-        )
-
-
 def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str) -> Iterator[Mistake]:
     """All columns of one kind are constant: values (column, sample)."""
     if values.size == 0 or any(moves(column) for column in values):

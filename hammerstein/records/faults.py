@@ -104,7 +104,12 @@ def faults(record: Record) -> list[Fault]:
         rows = record.rows[::stride][first:]
         drift_um, whose = _drift(trial, largest), f"{spoken(name)} of {PurePath(record.source).name}"
         if drift_um:
-            text = _drift_text(drift_um, rows, record)
+            seconds = float(rows[-1] - rows[0]) * record.sample_time_s
+            text = (
+                f"drifts by {drift_um:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, "
+                "independently of the voltages: let the set-up settle before you record, or subtract the "
+                "trend from this column"
+            )
             found.append(Fault(record.source, (name,), f"{whose} {text}", drift_um=drift_um))
         if text := _saturation(trial, largest, rows):
             found.append(Fault(record.source, (name,), f"{whose} {text}", bent_um=trial.plain))
@@ -149,15 +154,6 @@ def _drift(trial: _Trial, largest_um: float) -> float:
     a, b = trial.trend[0][-2:] if slow < bent else trial.both[0][-4:-2]
     drift = float(np.ptp(a * trial.time + b * trial.time**2))
     return drift if drift > DRIFT * largest_um else 0.0
-
-
-def _drift_text(drift_um: float, rows: Indices, record: Record) -> str:
-    seconds = float(rows[-1] - rows[0]) * record.sample_time_s
-    return (
-        f"drifts by {drift_um:.3g} um from row {rows[0]} to row {rows[-1]}, in {seconds:.3g} s, "
-        "independently of the voltages: let the set-up settle before you record, or subtract the "
-        "trend from this column"
-    )
 
 
 def _saturation(trial: _Trial, largest_um: float, rows: Indices) -> str:

@@ -162,18 +162,14 @@ class Reader:
         return found.reshape(shape, order="F")
 
 
-def is_matlab_v5(path: Path) -> bool:
+def is_matlab_v5(begin: bytes) -> bool:
     """Whether a file begins as those of version 5 to 7.2 do; others have no byte order at its place."""
-    with path.open("rb") as file:
-        header = file.read(HEADER_BYTES)
-    return len(header) == HEADER_BYTES and header[126:128] in (b"IM", b"MI") and 0 not in header[:4]
+    return begin[126:HEADER_BYTES] in (b"IM", b"MI") and 0 not in begin[:4]
 
 
-def is_matlab_v4(path: Path) -> bool:
+def is_matlab_v4(begin: bytes) -> bool:
     """Whether a file begins as those of version 4 do, with a small number: the only ones that SciPy reads."""
-    with path.open("rb") as file:
-        header = file.read(4)
-    return len(header) == 4 and 0 in header
+    return len(begin) >= 4 and 0 in begin[:4]
 
 
 def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
@@ -186,7 +182,7 @@ def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
 
     Parameters
     ----------
-    path : file for which ``is_matlab_v5`` is true
+    path : file whose beginning ``is_matlab_v5`` knows
     most_bytes : limit of the unpacked size
 
     Raises
@@ -262,7 +258,8 @@ def excel_columns(path: Path) -> Variables:
     """
     import openpyxl
 
-    _refuse_unpacked(path)
+    with zipfile.ZipFile(path) as archive:  # its parts may declare more text than the numbers could take
+        refuse_large((sum(part.file_size for part in archive.infolist()),), 1)
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     try:
         sheets = {sheet.title: _sheet(sheet) for sheet in book.worksheets}
@@ -274,12 +271,6 @@ def excel_columns(path: Path) -> Variables:
         for title, columns in filled.items()
         for name, variable in columns.items()
     }
-
-
-def _refuse_unpacked(path: Path) -> None:
-    """Refuse a workbook whose parts declare more text than the numbers that are read could take."""
-    with zipfile.ZipFile(path) as archive:
-        refuse_large((sum(part.file_size for part in archive.infolist()),), 1)
 
 
 def _sheet(sheet: Any) -> dict[str, Variable]:

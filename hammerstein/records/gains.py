@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hammerstein.arrays import Array, Complex
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import Mistake, refuse
 from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import turning_points
 from hammerstein.signals.text_tables import where
@@ -357,5 +357,4 @@ def refuse_swapped(records: Sequence[Record]) -> None:
         )
         for o, k in leads(records)
     ]
-    if mistakes:
-        raise InputError(first.source if len(records) == 1 else f"{len(records)} records", mistakes)
+    refuse(first.source if len(records) == 1 else f"{len(records)} records", mistakes)

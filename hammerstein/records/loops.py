@@ -376,7 +376,8 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
     for other, sign in ((after, 1.0), (before, -1.0)):
         if other is None:
             continue
-        apart_v = _apart(path, paths[other])
+        ends = ((0, 0), (path.turn, paths[other].turn), (-1, -1))  # where both start, turn and stop
+        apart_v = max(abs(float(path.u[i] - paths[other].u[j])) for i, j in ends)
         if apart_v <= same_v:
             # where samples miss the tips, voltages differ a little: twice the mean slope of that is no drift
             explained = apart_v * loop.height_um / loop.amplitude_v
@@ -388,11 +389,6 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
     closed = abs(float(path.u[0] - path.u[-1])) <= max(same_v, 0.01 * loop.amplitude_v)
     clear = limit <= LONE_SHARE * loop.height_um
     return replace(loop, settled=closed and clear and abs(loop.closure_um) <= limit)
-
-
-def _apart(a: _Path, b: _Path) -> float:
-    """Largest distance between the voltages at which two cycles start, turn and stop."""
-    return max(abs(float(a.u[i] - b.u[j])) for i, j in ((0, 0), (a.turn, b.turn), (-1, -1)))
 
 
 def _tip_step(path: _Path) -> float:

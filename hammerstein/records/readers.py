@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.arrays import Array, Indices
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.quantities import unique
-from hammerstein.records.array_files import SUFFIXES, array_columns, array_units, refuse_large, whole_array
+from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, variables_of, whole_array
 from hammerstein.records.checks import gap_mistakes
 from hammerstein.signals.signal_files import OF_TIME
 from hammerstein.signals.text_tables import FORMATS, find_layout, read_text, where
@@ -116,7 +116,7 @@ class Header:
         refuse_missing(path)
         suffix = path.suffix.lower()
         if suffix in SUFFIXES:
-            arrays = {name: unit for name, unit in array_units(path).items() if name}
+            arrays = {name: found.unit for name, found in variables_of(path).items() if name}
             return cls(
                 tuple(arrays), tuple(unit_in(bracketed(unit or "") or name) for name, unit in arrays.items())
             )
@@ -239,8 +239,7 @@ def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int)
             mistakes.append(Mistake(f"column {column}", "is not in the file; " + _known(column, own, width)))
     if len(set(indices)) < len(indices):
         mistakes.append(Mistake("columns", "one column is named twice, by name and by number"))
-    if mistakes:
-        raise InputError(str(path), mistakes)
+    refuse(str(path), mistakes)
     return indices
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.errors import InputError, Mistake, all_of
+from hammerstein.errors import InputError, Mistake, all_of, refuse
 from hammerstein.quantities import RATE_HZ, SCALE, interval
 from hammerstein.records.checks import (
     hidden_gaps,
@@ -106,8 +106,7 @@ def _chosen(
         if given is None and not found[option]:
             what = f"no column has a unit of {kind} in its name; name the columns: {header.listed()}"
             mistakes.append(Mistake(f"{option} (--{option})", what))
-    if mistakes:
-        raise InputError(str(path), mistakes)
+    refuse(str(path), mistakes)
     if time is None and rate_hz is None:
         times = [column for column in header.measuring("time") if column not in named]
         time = times[0] if len(times) == 1 else None
@@ -142,8 +141,7 @@ def _refuse_arguments(
         if scale is not None and (not SCALE.holds(scale) or scale == 0):
             option = f"{name} (--{name.replace(' ', '-')})"
             mistakes.append(Mistake(option, f"is {scale:g}; it {SCALE.words()}, and not 0"))
-    if mistakes:
-        raise InputError("records", mistakes)
+    refuse("records", mistakes)
 
 
 def _named_twice(chosen: Mapping[str, Sequence[str]]) -> Iterator[Mistake]:
@@ -168,8 +166,7 @@ def _record(
     if rate_hz is None:
         found, step = _sample_time_of(columns)
         mistakes += found
-    if mistakes:
-        raise InputError(columns.source, mistakes)
+    refuse(columns.source, mistakes)
     values = factors[:, None] * columns.values[: m + p]
     names = tuple(axis_name(name) for name in columns.names[: m + p])
     return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
@@ -180,11 +177,9 @@ def _factors_of(
 ) -> tuple[list[Mistake], Array]:
     """Factors from the file's numbers to V and um: as given, or by the units that the file names."""
     mistakes, factors = [], np.ones(m + p)
-    voltage: tuple[Kind, str] = ("voltage", "input")
-    displacement: tuple[Kind, str] = ("displacement", "output")
-    kinds = [voltage] * m + [displacement] * p
-    for k, (kind, option) in enumerate(kinds):
-        unit, scale = unit_in(columns.units[k]), scales[k >= m]
+    kinds: tuple[tuple[Kind, str], ...] = (("voltage", "input"), ("displacement", "output"))
+    for k in range(m + p):
+        unit, scale, (kind, option) = unit_in(columns.units[k]), scales[k >= m], kinds[k >= m]
         if scale is not None:
             factors[k] = scale
         elif unit is not None and unit.kind == kind:
@@ -217,8 +212,7 @@ def _refuse_other_time(path: str | Path, rate_hz: float, wanted: Sequence[str]) 
             f"is {1.0 / seconds:.6g} Hz; give --time {name} instead of --rate, or the right rate",
         )
     mistakes = hidden_gaps(name, time_s, time.rows)
-    if mistakes:
-        raise InputError(str(path), mistakes)
+    refuse(str(path), mistakes)
 
 
 def _sample_time_of(columns: Columns) -> tuple[list[Mistake], float]:
@@ -248,8 +242,7 @@ def _refuse_never_driven(records: Sequence[Record]) -> None:
         ("output", records[0].outputs, [record.y_um for record in records]),
     )
     mistakes = list(chain.from_iterable(_axis_mistakes(*group) for group in groups))
-    if mistakes:
-        raise InputError(source, mistakes)
+    refuse(source, mistakes)
 
 
 def _axis_mistakes(kind: str, names: Sequence[str], values: Sequence[Array]) -> list[Mistake]:
@@ -296,7 +289,9 @@ def read_paired_records(
     ------
     InputError : every mistake of every experiment at once
     """
-    _refuse_axes(axes)
+    if set(axes) - set(AXES) or len(set(axes)) != len(axes) or "sample" not in axes:
+        what = f"are {', '.join(axes)}; name sample, and each of {', '.join(AXES[1:])} once"
+        raise InputError("axes", what)
     _refuse_arguments([u_file], ["u"], ["y"], rate_hz, None, input_scale, output_scale)
     u = _by_experiment(read_array(u_file, variables[0]), axes, str(u_file))
     y = _by_experiment(read_array(y_file, variables[1]), axes, str(y_file))
@@ -318,14 +313,6 @@ def read_paired_records(
     if all_driven:
         _refuse_never_driven(records)
     return tuple(records)
-
-
-def _refuse_axes(axes: Sequence[str]) -> None:
-    unknown = [axis for axis in axes if axis not in AXES]
-    if unknown or len(set(axes)) != len(axes) or "sample" not in axes:
-        raise InputError(
-            "axes", f"are {', '.join(axes)}; name sample, and each of {', '.join(AXES[1:])} once"
-        )
 
 
 def _by_experiment(array: Array, axes: Sequence[str], source: str) -> Array:
@@ -373,10 +360,8 @@ def records_of_time_response(
     read = tuple(outputs if outputs is not None else data.output_labels or ())
     traces = list(traces_of(data, fed, read))
     records = []
-    for number, trace in enumerate(traces, start=1):
+    for number, (time_s, u, y) in enumerate(traces, start=1):
         source = "time response" if len(traces) == 1 else f"time response, trace {number}"
-        mistakes = time_mistakes("time", trace.time_s, np.arange(1, len(trace.time_s) + 1))
-        if mistakes:
-            raise InputError(source, mistakes)
-        records.append(Record(trace.inputs, trace.outputs, sample_time(trace.time_s), fed, read, source))
+        refuse(source, time_mistakes("time", time_s, np.arange(1, len(time_s) + 1)))
+        records.append(Record(u, y, sample_time(time_s), fed, read, source))
     return tuple(records)

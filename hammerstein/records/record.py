@@ -9,15 +9,15 @@ from itertools import chain
 import numpy as np
 
 from hammerstein.arrays import Array, Indices, freeze, frozen
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.escaping import clean
 from hammerstein.notebook_repr import NotebookRepr
 from hammerstein.quantities import POSITION_UM, VOLTAGE_V, interval, no_name, unique
 from hammerstein.records.checks import (
+    FEWEST_SAMPLES,
     clipping_mistakes,
     far_mistakes,
     gap_mistakes,
-    length_mistakes,
     still_mistakes,
     unit_mistake,
 )
@@ -89,8 +89,7 @@ class Record(NotebookRepr):
         if verified:
             return
         mistakes = self._gaps() or self._mend() or self._mistakes()
-        if mistakes:
-            raise InputError(self.source, mistakes)
+        refuse(self.source, mistakes)
 
     def __repr__(self) -> str:
         parts = [f"{self.samples} samples of {interval(self.sample_time_s)}"]
@@ -122,15 +121,11 @@ class Record(NotebookRepr):
             )
 
     def _gaps(self) -> list[Mistake]:
-        gaps = [
-            *gap_mistakes(self.inputs, self.u_v, self.rows),
-            *gap_mistakes(self.outputs, self.y_um, self.rows),
-        ]
-        far = [
-            *far_mistakes(self.inputs, self.u_v, self.rows, VOLTAGE_V, "V"),
-            *far_mistakes(self.outputs, self.y_um, self.rows, POSITION_UM, "um"),
-        ]
-        return [*gaps, *far, *length_mistakes(self.samples)]
+        both = ((self.inputs, self.u_v, self.rows), (self.outputs, self.y_um, self.rows))
+        gaps = [gap for columns in both for gap in gap_mistakes(*columns)]
+        far = [*far_mistakes(*both[0], VOLTAGE_V, "V"), *far_mistakes(*both[1], POSITION_UM, "um")]
+        what = f"{self.samples} samples are too few; give {FEWEST_SAMPLES} or more, at least one full cycle"
+        return [*gaps, *far, *([Mistake("length", what)] if self.samples < FEWEST_SAMPLES else [])]
 
     def _mend(self) -> list[Mistake]:
         """Replace outliers; mistakes where there are too many."""

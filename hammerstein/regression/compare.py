@@ -14,7 +14,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, FiniteFloat
 
-from hammerstein.errors import InputError, Mistake, SimulationError
+from hammerstein.errors import InputError, Mistake, SimulationError, refuse
 from hammerstein.experiment.report import Report
 from hammerstein.files import read_limited, refuse_no_file, write_atomic
 from hammerstein.metrics import METRICS
@@ -349,8 +349,7 @@ def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
             near = difflib.get_close_matches(metric, names, n=1)
             hint = f"; did you mean {near[0]}?" if near else f"; numbers are {', '.join(names)}"
             mistakes.append(Mistake(f"tolerances.{metric}", f"is not a number of a report{hint}"))
-    if mistakes:
-        raise InputError(name, mistakes)
+    refuse(name, mistakes)
 
 
 def _changes(report: Report, baseline: Baseline) -> Iterator[Finding]:

@@ -6,7 +6,6 @@ import contextlib
 import signal
 import threading
 import traceback
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import AbstractContextManager, nullcontext
@@ -30,7 +29,7 @@ TRIES = 2
 WHY_LOST = "The system does this if the memory is full: use fewer parallel runs (--jobs 1), or smaller ones."
 
 
-class _Crew(Executor, ABC):
+class _Crew(Executor):
     """Threads that take one task after the other; the end of the program does not wait for them.
 
     Crews have the interface of ``concurrent.futures``, whose threads hold up the end of the program after
@@ -67,17 +66,13 @@ class _Crew(Executor, ABC):
         for thread in self._threads if wait else ():
             thread.join()
 
-    @abstractmethod
-    def _serve(self) -> None:
-        """Do what comes."""
-
     def _coming(self) -> Iterator[tuple[Future[Any], Callable[[], Any]]]:
         """Tasks that nobody has cancelled."""
         while (found := self._tasks.get()) is not None:
             if found[0].set_running_or_notify_cancel():
                 yield found
 
-    def _serve_here(self) -> None:
+    def _serve(self) -> None:
         """Do what comes in this thread."""
         for future, task in self._coming():
             try:
@@ -93,9 +88,6 @@ class Threads(_Crew):
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.shutdown(wait=kind is None, cancel_futures=kind is not None)
-
-    def _serve(self) -> None:
-        self._serve_here()
 
 
 class Processes(_Crew):
@@ -206,7 +198,7 @@ class ProcessesAndThis(Processes):
             if mine:
                 self._here = threading.current_thread()
         if mine:
-            self._serve_here()
+            _Crew._serve(self)
         else:
             super()._serve()
 

@@ -75,10 +75,7 @@ def _source_of(kind: type) -> str:
         return uuid.uuid4().hex
     folders = getattr(top, "__path__", ())
     files = {Path(place), *(file for folder in folders for file in Path(folder).rglob("*.py"))}
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+    return hashlib.sha256(b"".join(file.read_bytes() for file in sorted(files))).hexdigest()
 
 
 def computes_with() -> dict[str, str]:

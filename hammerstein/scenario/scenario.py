@@ -12,12 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators import COMPENSATORS, Compensator
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.files import digest_of, digest_of_file, read_limited
 from hammerstein.metrics import Metric, metrics_of
 from hammerstein.model import place_of
@@ -27,7 +27,7 @@ from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, MetricName,
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, Tested
 from hammerstein.scenario.variation import Study, Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference, Shape, written
-from hammerstein.validation import Strict, mistakes_of
+from hammerstein.validation import Strict, WithInfinity, mistakes_of
 
 MOST_VALUES = 10_000  # of one key of a sweep
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_VALUES)]
@@ -113,10 +113,8 @@ class Tolerance(Strict):
     absolute: Tolerated = Field(default=1e-6, description="difference that is always allowed")
 
 
-class Scenario(Strict):
+class Scenario(WithInfinity):
     """One experiment: an actuator, a signal, and compensators or models to compare."""
-
-    model_config = ConfigDict(ser_json_inf_nan="strings")
 
     question: Annotated[str, Field(min_length=1)] = Field(
         description="question of the scenario: the title of the report"
@@ -351,8 +349,7 @@ def _validated(data: Mapping[str, Any], source: str, folder: Path | None = None)
         found = [Mistake(m.where, line) for m in mistakes_of(error, Scenario) for line in m.what.split("\n")]
         told = {mistake.where for mistake in found}
         raise InputError(source, [*found, *(m for m in unknown if m.where not in told)]) from None
-    if unknown:
-        raise InputError(source, unknown)
+    refuse(source, unknown)
     return scenario
 
 

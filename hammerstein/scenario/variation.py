@@ -104,7 +104,6 @@ class Study(Strict):
 
     def _places(self, size: int) -> Iterator[list[float]]:
         """Samples in the unit cube."""
-        import numpy as np
         from scipy.stats import qmc
 
         assert self.samples is not None

@@ -53,6 +53,10 @@ class Shape(Strict, ABC):
 
     pointwise: ClassVar[bool] = False
     """Whether a part of the signal takes a part of the work of the whole."""
+    periodic: ClassVar[bool] = True
+    """Whether the signal has cycles, so that the response can settle."""
+    smooth: ClassVar[bool] = True
+    """Whether its path has no corners."""
 
     smooth_start_s: Wait = Field(default=0.0, description="time in which the signal grows from zero")
     offset: Offset | tuple[Offset, ...] | None = Field(
@@ -101,19 +105,9 @@ class Shape(Strict, ABC):
         """Time after which the signal repeats; for one that does not, the time it lasts."""
 
     @property
-    def periodic(self) -> bool:
-        """Whether the signal has cycles, so that the response can settle."""
-        return True
-
-    @property
     def repeats(self) -> bool:
         """Whether every cycle is like the one before."""
         return self.periodic
-
-    @property
-    def smooth(self) -> bool:
-        """Whether its path has no corners."""
-        return True
 
     @property
     @abstractmethod
@@ -183,12 +177,9 @@ class Sine(OnAxes):
 class Triangle(OnAxes):
     """A symmetric triangle wave that starts at zero and rises."""
 
-    kind: Literal["triangle"] = "triangle"
+    smooth: ClassVar[bool] = False
 
-    @property
-    def smooth(self) -> bool:
-        """It has corners."""
-        return False
+    kind: Literal["triangle"] = "triangle"
 
     def _wave(self, cycles: Array) -> Array:
         return 1.0 - 4.0 * np.abs((cycles + 0.25) % 1.0 - 0.5)
@@ -199,6 +190,8 @@ class Degauss(OnAxes):
     the memory of plays. From one peak to the next, the amplitude falls by A / (2 cycles). A play with a
     threshold below A ends within half of this step from its middle, whatever its past.
     """
+
+    periodic: ClassVar[bool] = False
 
     kind: Literal["degauss"] = "degauss"
     cycles: Cycles = Field(
@@ -213,11 +206,6 @@ class Degauss(OnAxes):
     def period_s(self) -> float:
         """Time until the amplitude is zero."""
         return (self.cycles + 1) / self.frequency_hz
-
-    @property
-    def periodic(self) -> bool:
-        """It is sent once."""
-        return False
 
 
 class Circle(OneFrequency):
@@ -365,6 +353,9 @@ class FromFile(Shape):
     The signal is interpolated linearly between rows and constant after the last row.
     """
 
+    periodic: ClassVar[bool] = False
+    smooth: ClassVar[bool] = False
+
     kind: Literal["file"] = "file"
     path: FileName = Field(description="CSV file: time_s and one column for each axis, in their order")
     scale: Scale = Field(default=1.0, description="factor for all values of the file")
@@ -388,16 +379,6 @@ class FromFile(Shape):
         """
         times, values, names = read_signal(Path(self.path))
         return times - times[0], values, names
-
-    @property
-    def periodic(self) -> bool:
-        """A file is run once, from its first row to its last."""
-        return False
-
-    @property
-    def smooth(self) -> bool:
-        """Not known between its rows."""
-        return False
 
     @property
     def period_s(self) -> float:

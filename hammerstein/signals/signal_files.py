@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.errors import InputError, Mistake, Notice
+from hammerstein.errors import InputError, Mistake, Notice, refuse
 from hammerstein.files import refuse_size
 from hammerstein.quantities import POSITION_UM, column, size
 from hammerstein.runtime.resources import free_bytes
@@ -47,8 +47,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
             f"axis, none of them a number; its first line is {first[:SHOWN]!r}",
         )
     values, rows, mistakes = read_text(path, layout, range(layout.width), names)
-    if mistakes:
-        raise InputError(str(path), mistakes)
+    refuse(str(path), mistakes)
     if not names[-1] and np.isnan(values[-1]).all():  # a comma at the end of each row
         names, values = names[:-1], values[:-1]
     if not all(names):

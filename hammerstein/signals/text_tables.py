@@ -107,11 +107,11 @@ def find_layout(path: Path) -> Layout:
     ]
     lines = lines[:HEAD_LINES]
     comment = "%" if any(line.lstrip().startswith("%") for line in lines) else "#"
-    body = [line for line in lines if line.strip() and not _is_comment(line, COMMENTS)]
+    body = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
     dialect, width, grade = _dialect(body)
     if width == 0:
         raise InputError(str(path), _without_numbers(body, lines))
-    table = [[] if _is_comment(line, COMMENTS) else _fields(line, dialect.separator) for line in lines]
+    table = [[] if line.lstrip().startswith(COMMENTS) else _fields(line, dialect.separator) for line in lines]
     first = _first_row(table, width, dialect, grade)
     names, units = _header(lines[:first], dialect, width)
     return Layout(dialect, encoding, comment, first, width, names, units)
@@ -147,10 +147,6 @@ def _encoding(head: bytes) -> str:
     except UnicodeDecodeError as error:
         return "latin-1" if error.reason != "unexpected end of data" else "utf-8"
     return "utf-8"
-
-
-def _is_comment(line: str, signs: tuple[str, ...]) -> bool:
-    return line.lstrip().startswith(signs)
 
 
 def _fields(line: str, separator: str) -> list[str]:

@@ -58,10 +58,6 @@ class Tables(NamedTuple):
     w: np.ndarray[Any, Any]
     here: np.ndarray[Any, Any]
 
-    def copy(self) -> Tables:
-        """Both anew."""
-        return Tables(self.w.copy(), self.here.copy())
-
 
 def tables(m: int, rows: int) -> Tables:
     """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
@@ -82,7 +78,7 @@ class StaticInverse(Law[S]):
 
     def design_tables(self) -> Tables:
         """Tables of ``pieces`` as they are before a run."""
-        return self._design.copy()
+        return Tables(*(table.copy() for table in self._design))
 
     def statement(self) -> str:
         """State whether there is an inverse, and how far the drive jumps at a reversal."""
@@ -124,11 +120,20 @@ class ZonesInverse(StaticInverse[DriveState]):
 
     hysteresis: Hysteresis[Any]
 
-    def _begin(self, zones: int, largest_v: float, gain: Array) -> None:
-        """Fill the tables, and stand where the actuator does.
-
-        zones : room for those of an input; largest_v : size of the voltages; gain : (m, row) [um/V]
-        """
+    def __init__(
+        self,
+        hysteresis: Hysteresis[Any],
+        model: HammersteinModel,
+        range_v: RangeLike,
+        softening_v: float = 0.0,
+        run_anyway: bool = False,
+    ):
+        self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
+        self.hysteresis = hysteresis.counted_from(self.range.working_point_v)
+        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
+        self.invertibility = replace(invertibility(hysteresis), inputs=model.inputs)
+        require_inverse(self.invertibility, "exact_inverse", run_anyway)
+        zones, largest_v, gain = self._room(run_anyway)
         w, here = tables(self.n_inputs, zones)
         here["low"], here["high"] = self.range.counted
         here["still"] = STILL * (1.0 + largest_v)
@@ -139,6 +144,10 @@ class ZonesInverse(StaticInverse[DriveState]):
         self._design, history = Tables(w, here), self.range.history()
         self.origin_um, state = self.hysteresis.standing(history)
         self._start = DriveState(state, history[:, -1].copy())
+
+    @abstractmethod
+    def _room(self, run_anyway: bool) -> tuple[int, float, Array]:
+        """Room for the zones of an input, size of the voltages [V], and gain (m, row) [um/V]."""
 
 
 class ExactInverseLaw(StaticInverse[ExactState]):

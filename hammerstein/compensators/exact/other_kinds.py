@@ -20,7 +20,7 @@ from hammerstein.compensators.exact.inverse import (
 )
 from hammerstein.errors import SimulationError
 from hammerstein.hysteresis import Generalised, Preisach, RateDependent
-from hammerstein.hysteresis.invertibility import invertibility, require_inverse
+from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.model import HammersteinModel
 
 
@@ -103,23 +103,12 @@ class PreisachInverseLaw(ZonesInverse):
 
     hysteresis: Preisach
 
-    def __init__(
-        self,
-        hysteresis: Preisach,
-        model: HammersteinModel,
-        range_v: RangeLike,
-        softening_v: float = 0.0,
-        run_anyway: bool = False,
-    ):
-        self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
-        self.hysteresis = hysteresis.counted_from(self.range.working_point_v)
-        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.invertibility = replace(invertibility(hysteresis), inputs=model.inputs)
-        require_inverse(self.invertibility, "exact_inverse", run_anyway)
+    def _room(self, run_anyway: bool) -> tuple[int, float, Array]:
+        """See ``ZonesInverse._room``."""
         planes, turns = self.hysteresis.planes, self.hysteresis.rest().x.shape[1]
         largest_v = float(np.maximum(np.abs(planes.low), np.abs(planes.high)).max())
         zones = most_pieces(int(planes.cells.max()), turns)
-        self._begin(zones, largest_v, np.abs(planes.beyond.sum(axis=1)))
+        return zones, largest_v, np.abs(planes.beyond.sum(axis=1))
 
     def solve(
         self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None
@@ -165,29 +154,18 @@ class RateDependentInverseLaw(ZonesInverse):
 
     hysteresis: RateDependent
 
-    def __init__(
-        self,
-        hysteresis: RateDependent,
-        model: HammersteinModel,
-        range_v: RangeLike,
-        softening_v: float = 0.0,
-        run_anyway: bool = False,
-    ):
-        self.hysteresis, self.range = hysteresis, DriveRange.of(range_v, model)
-        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.sample_time_s = hysteresis.grid_s
-        self.softening_v = softening_v
-        self.invertibility = replace(invertibility(hysteresis), inputs=model.inputs)
-        require_inverse(self.invertibility, "exact_inverse", run_anyway)
-        gain = float(hysteresis.loop_gain().max())
+    def _room(self, run_anyway: bool) -> tuple[int, float, Array]:
+        """See ``ZonesInverse._room``; also refuses an inverse that is not stable."""
+        self.sample_time_s = self.hysteresis.grid_s
+        gain = float(self.hysteresis.loop_gain().max())
         if gain >= 1.0 and not run_anyway:
             raise SimulationError(
                 "The inverse of this rate-dependent model is unstable: its loop through the rate has "
                 f"{gain:.3g} times the gain of the stability limit. Identify with a lower bandwidth "
                 "of the rate or smaller growth, or set run_anyway = true."
             )
-        bank = hysteresis.bank
-        self._begin(2 * bank.r.shape[1] + 4, float(bank.r.max()), np.abs(bank.w.sum(axis=1)))
+        bank = self.hysteresis.bank
+        return 2 * bank.r.shape[1] + 4, float(bank.r.max()), np.abs(bank.w.sum(axis=1))
 
     def statement(self) -> str:
         """State whether there is an inverse, and its margin to ringing."""
@@ -212,7 +190,7 @@ class RateDependentInverseLaw(ZonesInverse):
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
         wanted, work = np.ascontiguousarray(v_um), 64 * bank.w.size
         for first, stop in spans(wanted.shape[1], work):
-            respond_exact_rate(wanted, *back, left, w, here, *grid, *plays, *memory, first, stop, drive)
+            respond_exact_rate(wanted, *back, left, w, here, grid, plays, memory, first, stop, drive)
         return drive, DriveState(state, w["x"][:, 0].copy()), left
 
 

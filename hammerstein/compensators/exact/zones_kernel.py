@@ -142,34 +142,15 @@ def _side(w, k, row, most, rises, plane, memory, value, slope, home, ends):  # t
 
 
 @compiled(error_model="numpy")
-def respond_exact_rate(  # type: ignore[no-untyped-def]
-    reference,
-    a,
-    b,
-    gain,
-    x,
-    w,
-    here,
-    sample_time,
-    pole,
-    n,
-    r,
-    grow,
-    lam,
-    weights,
-    plays,
-    last,
-    rate,
-    first,
-    stop,
-    drive,
-):
+def respond_exact_rate(reference, a, b, gain, x, w, here, grid, bank, memory, first, stop, drive):  # type: ignore[no-untyped-def]
     """Drive (m, N) whose model output is the reference (p, N), from sample first up to stop.
 
     The drive is overwritten there, plays and rates are updated.
 
     a, b, gain, x : linear block behind it, as for ``respond_exact``; the others as for the forward loop
+    grid : sample time and poles; bank : n, r, b, lam and w of the plays; memory : plays, last voltages, rates
     """
+    (sample_time, pole), (n, r, grow, lam, weights), (plays, last, rate) = grid, bank, memory
     m, p = drive.shape[0], reference.shape[0]
     new, away = np.empty(x.shape[0]), False
     reach, (events, bend) = np.zeros(r.shape), np.empty((2, 2 * r.shape[1]))

@@ -74,16 +74,6 @@ class FeedbackLoop(ByValue):
     plant: LinearBlock
     slopes: Array
 
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs."""
-        return self.plant.n_outputs
-
-    @property
-    def sample_time_s(self) -> float:
-        """Time between samples [s]."""
-        return self.plant.sample_time_s
-
     @cached_property
     def frequency_hz(self) -> Array:
         """Frequencies up to half the sample rate, dense about every resonance of the plant."""
@@ -103,7 +93,7 @@ class FeedbackLoop(ByValue):
             beside = np.geomspace(NEAREST * width, np.pi, int(np.log(np.pi / (NEAREST * width)) / NARROW))
             angles.append(np.concatenate([angle - beside, [angle], angle + beside]))
         every = np.unique(np.concatenate(angles))
-        return np.asarray(every[(every > 0.0) & (every <= np.pi)] / (2.0 * np.pi * self.sample_time_s))
+        return np.asarray(every[(every > 0.0) & (every <= np.pi)] / (2.0 * np.pi * self.plant.sample_time_s))
 
     def _reading(self, frequency_hz: Array) -> Complex:
         """Response (frequency, p, p) from what the hysteresis should give to the reading."""
@@ -117,17 +107,17 @@ class FeedbackLoop(ByValue):
 
     def _shift(self, frequency_hz: Array) -> Complex:
         """Delay of one sample, 1 / z."""
-        return np.asarray(np.exp(-2j * np.pi * frequency_hz * self.sample_time_s))
+        return np.asarray(np.exp(-2j * np.pi * frequency_hz * self.plant.sample_time_s))
 
     def _controller(self, gains: Gains, frequency_hz: Array) -> Complex:
         """Response (frequency, p) of the controllers."""
-        change = (1.0 - self._shift(frequency_hz))[:, None] / self.sample_time_s
+        change = (1.0 - self._shift(frequency_hz))[:, None] / self.plant.sample_time_s
         return np.asarray(gains.proportional + gains.integral_per_s / change + gains.derivative_s * change)
 
     @cached_property
     def change(self) -> Complex:
         """Response of a difference of two samples over T."""
-        return np.asarray((1.0 - self._shift(self.frequency_hz)) / self.sample_time_s)
+        return np.asarray((1.0 - self._shift(self.frequency_hz)) / self.plant.sample_time_s)
 
     def alone(self, o: int) -> Complex:
         """Response (slope, frequency) of one output to its own correction, at its least and largest slope."""
@@ -149,7 +139,7 @@ class FeedbackLoop(ByValue):
         gain = plant * np.abs(self._controller(gains, frequency)[:, o])
         last = int(np.flatnonzero(gain >= 1.0).max(initial=-1))
         if last < 0:
-            in_phase = gains.proportional[o] + 0.5 * self.sample_time_s * gains.integral_per_s[o]
+            in_phase = gains.proportional[o] + 0.5 * self.plant.sample_time_s * gains.integral_per_s[o]
             return float(gains.integral_per_s[o] / (2.0 * np.pi * np.sqrt(plant[0] ** -2.0 - in_phase**2)))
         pair = slice(last, last + 2)
         return float(np.exp(np.interp(0.0, -np.log(gain[pair]), np.log(frequency[pair]))))
@@ -161,7 +151,7 @@ class FeedbackLoop(ByValue):
         error.
         """
         a, b, c, d = self.plant.A, self.plant.B, self.plant.C, self.plant.D
-        n, p, step = len(a), self.n_outputs, self.sample_time_s
+        n, p, step = len(a), self.plant.n_outputs, self.plant.sample_time_s
         none, one = np.zeros((p, p)), np.eye(p)
         error = np.hstack([-c, -d @ slope, none, none])
         total = np.hstack([np.zeros((p, n)), none, one, none])
@@ -177,7 +167,7 @@ class FeedbackLoop(ByValue):
         if any(np.abs(own).max() >= 1.0 for own in poles):
             return np.inf
         every = np.concatenate(poles)
-        angles, turn = np.abs(np.angle(every)), 2.0 * np.pi * self.sample_time_s
+        angles, turn = np.abs(np.angle(every)), 2.0 * np.pi * self.plant.sample_time_s
         slow = np.geomspace(0.1 * np.abs(1.0 - every).min() / turn, self.frequency_hz[0], SLOW)
         frequency = np.unique(np.concatenate([slow, self.frequency_hz, angles[angles > 0.0] / turn]))
         least = self._distance(gains, frequency)
@@ -201,10 +191,10 @@ class FeedbackLoop(ByValue):
         bound = np.linalg.norm(plant, axis=(1, 2)) * np.abs(controller).max(axis=1)
         bound = bound * np.linalg.norm(self.slopes, axis=(1, 2)).max()
         least = np.maximum(1.0 - bound, 1.0 - SMALL)
-        near, others = np.flatnonzero(bound > SMALL), self.n_outputs - 1
+        near, others = np.flatnonzero(bound > SMALL), self.plant.n_outputs - 1
         plant, controller = plant[near], controller[near, None, :]
         for slope in self.slopes:
-            returned = np.eye(self.n_outputs) + plant @ slope * controller
+            returned = np.eye(self.plant.n_outputs) + plant @ slope * controller
             most = (np.linalg.norm(returned, axis=(1, 2)) ** 2 / max(others, 1)) ** (0.5 * others)
             nearer = np.abs(np.linalg.det(returned)) < least[near] * most
             distance = np.linalg.svd(returned[nearer], compute_uv=False)[:, -1]
@@ -255,7 +245,7 @@ def tuned(loop: FeedbackLoop, derivative: bool = False) -> Gains:
     Source: Astrom, Panagopoulos and Hagglund, Automatica 34 (1998) 585-601; the limit 2 zeta w_n: Fleming,
     Aphale and Moheimani, IEEE Transactions on Nanotechnology 9 (2010) 438-448.
     """
-    outputs = range(loop.n_outputs)
+    outputs = range(loop.plant.n_outputs)
     gains = Gains(*np.array([_one(loop, o, derivative) for o in outputs]).T)
     for tried in range(1, 1 + MOST_TRIES):
         sensitivity = loop.sensitivity(gains)

@@ -219,10 +219,6 @@ class FeedbackStream:
         forward = Memory() if self.law.feedforward is None else self.law.feedforward.rest()
         return StreamState(self.law.rest(), np.zeros((self.law.n_outputs, self.delay_samples)), forward)
 
-    def restore(self, data: dict[str, Any]) -> StreamState:
-        """State from what ``as_dict`` gave."""
-        return self.rest().restored(data)
-
     def step(self, signals: Array, state: StreamState) -> tuple[Array, StreamState]:
         """Voltages (m,) of one sample of references, then readings, (2 p,), and the state after it."""
         reference, reading = np.split(signals, 2)
@@ -255,7 +251,7 @@ class FeedbackStream:
         from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
 
         require_grid(self.law.sample_time_s, sample_time_s, "controller")
-        block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.restore)
+        block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.rest().restored)
         p = self.law.n_outputs
         wires = signals("reference_um", p) + signals("reading_um", p)
         return BlockSystem(block, wires, signals("requested_v", self.law.n_inputs), sample_time_s, name)
@@ -323,7 +319,7 @@ def _compiled_loop(
     )
     out = (*voltages.values(), *positions.values())
     for first, stop in spans(samples, 64 + len(plant.block.entries[2])):
-        run_closed_loop(*signals, controller, *instruments, *actuator, first, stop, out, (0,) * p)
+        run_closed_loop(signals, controller, instruments, actuator, first, stop, out, (0,) * p)
     return voltages | positions
 
 

@@ -48,36 +48,21 @@ def request(feedforward, inverse_gain, gain, limits, memory, requested):  # type
 
 
 @compiled()
-def run_closed_loop(  # type: ignore[no-untyped-def]
-    reference,
-    feedforward,
-    noise,
-    controller,
-    effects,
-    steps,
-    rest,
-    bank,
-    plays,
-    linear,
-    first,
-    stop,
-    out,
-    outputs,
-):
+def run_closed_loop(signals, controller, instruments, actuator, first, stop, out, outputs):  # type: ignore[no-untyped-def]
     """Controller, drive, hysteresis, linear block and sensor, sample by sample.
 
-    reference, noise : (p, N); feedforward : (m, N)
+    signals : reference (p, N), feedforward (m, N) and noise (p, N)
     controller : settings and memory, see above, inverse gain (m, p), gain (p, m), limits (2, m)
-    effects : step of the drive [V], range, step and noise of the sensor [um]
-    steps : (2, m) lowest and highest step of the converter; rest : (m,) working point of the hysteresis [V]
-    bank, plays, outputs : see ``respond_turning_points``
-    linear : rows and state of the linear block, positions first
+    instruments : step of the drive [V], with range, step and noise of the sensor [um]; lowest and highest
+        step (2, m) of the converter; working point (m,) of the hysteresis [V]
+    actuator : bank and plays, see ``respond_turning_points`` (as for outputs); rows and state of the linear
+        block, positions first
     out : requested and drive (m, N); hysteresis, position, reading (p, N), overwritten from first up to stop
     """
     settings, inverse_gain, gain, limits, memory = controller
-    r, guide, scale, n, lines, w = bank
-    count, end, x, d, window = plays
-    rows, state = linear
+    reference, feedforward, noise = signals
+    effects, steps, rest = instruments
+    (r, guide, scale, n, lines, w), (count, end, x, d, window), (rows, state) = actuator
     requested, drive, hysteresis, position, reading = out
     m, p = drive.shape[0], reading.shape[0]
     tall = r.shape[1] + 2

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array, times
 from hammerstein.blocks import Law, Memory, checked_reference
-from hammerstein.blocks.driving import DriveRange, RangeLike
+from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.compensators.preview.linear_inverse import (
     LinearInverse,
@@ -306,7 +306,8 @@ class LoopInverseLaw(Law[LoopPathState]):
 
         Raises SimulationError where no linear block has an inverse, or all of them lead away from the path.
         """
-        half = _half(model, self.range)
+        half = 0.5 * self.range.span_v
+        half = np.where(np.isfinite(half), half, model.amplitude_v)  # of the records, where there is no end
         ends = model.hysteresis.amplitude(half).sum(axis=1)
         size = TRIAL_PART * np.abs(model.amplitude(half)).max(axis=1)
         gains = [self.block.slow_gain(share * ends) for share in SHARES]
@@ -342,9 +343,3 @@ def _trial_path(inverse: LinearInverse, size_um: Array) -> Array:
     waves = np.cos(turns + phases[:, :, None]).sum(axis=1)
     swell = np.sin(np.pi * np.arange(TRIAL_SAMPLES) / TRIAL_SAMPLES) ** 4
     return np.asarray((size_um / np.abs(waves).max(axis=1))[:, None] * waves * swell)
-
-
-def _half(model: HammersteinModel, limits: DriveRange) -> Array:
-    """Half of the range of each input (m,) [V], that of the records where it is without end."""
-    half = 0.5 * limits.span_v
-    return np.asarray(np.where(np.isfinite(half), half, model.amplitude_v))
