@@ -227,3 +227,12 @@ def test_python_control_gives_the_same_numbers():
     system = model.to_iosys(1e-3)
     response = control.input_output_response(system, 1e-3 * np.arange(60), u)
     np.testing.assert_allclose(response.outputs, model.respond(u)[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("zones", [([], []), ([-1.0, 2.0], [0.2, -0.1])])
+@pytest.mark.parametrize("smallest", [0.0, 0.7])
+def test_the_smallest_play_is_where_the_voltages_led_it_with_and_without_dead_zones(smallest, zones):
+    plays = PrandtlIshlinskii([[Pair([smallest, 2.0], [1.0, 0.5])]])
+    u = np.cumsum(np.random.default_rng(4).normal(0.0, 0.5, (1, 300)), axis=1)
+    _, state = Asymmetric(plays, [[DeadZones(*zones)]]).respond(u)
+    assert state.smallest_v[0] == theory.play(u[0], smallest)[-1]
