@@ -88,7 +88,7 @@ def test_a_run_to_its_report_enters_nine_rooms(calls):
     }
 
 
-MODULES_OF_A_RUN, MODULES_OF_IDENTIFY = 44, 87
+MODULES_OF_A_RUN, MODULES_OF_IDENTIFY = 41, 84
 """Ceilings of what is entered, to be lowered with the code: the goals are 40 and 45."""
 
 
@@ -97,8 +97,9 @@ def entered(work):
     found = set()
 
     def note(frame, event, argument):
-        if frame.f_code.co_filename.startswith(f"{PACKAGE}/"):
-            found.add(frame.f_code.co_filename)
+        file = frame.f_code.co_filename
+        if file.startswith(f"{PACKAGE}/") and file.endswith(".py"):  # templates are no modules
+            found.add(file)
 
     work()
     before = sys.gettrace()
@@ -111,7 +112,8 @@ def entered(work):
 
 
 def test_a_run_to_its_report_enters_few_modules(calls):
-    modules = {called for _, called in calls} | {caller for caller, _ in calls}
+    files = {called for _, called in calls} | {caller for caller, _ in calls}
+    modules = {file for file in files if file.suffix == ".py"}  # templates are no modules
     assert 20 < len(modules) <= MODULES_OF_A_RUN
 
 
@@ -135,7 +137,7 @@ def test_the_command_identify_enters_few_modules(tmp_path, monkeypatch):
     assert 20 < len(entered(identify)) <= MODULES_OF_IDENTIFY
 
 
-CODE_LINES, MODULES = 35_754, 259
+CODE_LINES, MODULES = 35_689, 259
 """Ceilings of the house, to be lowered with the code: the goals are 26,500 and 260."""
 
 CODE = {tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP}
