@@ -416,8 +416,8 @@ def _of_few_places(
     fit = fit_block(task, [fit.block], driven, fit.behind, enough=enough)
 
     def criterion(one: BlockFit) -> float:
-        columns = len(one.hysteresis.weights[0])
-        return 2.0 * samples * float(np.log(one.rms_um).sum()) + columns * price(one.hysteresis, samples)
+        columns, left = len(one.hysteresis.weights[0]), np.maximum(one.rms_um, np.finfo(float).tiny)
+        return 2.0 * samples * float(np.log(left).sum()) + columns * price(one.hysteresis, samples)
 
     def thinned(most: int) -> BlockFit:
         fewer = fit
