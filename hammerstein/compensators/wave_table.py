@@ -129,6 +129,8 @@ def wave_table(
     ------
     InputError : an unknown device, no scale where one is needed, or a period that no table holds
     """
+    if device not in DEVICES:
+        raise InputError("--table", f"{device!r} is not one of {', '.join(DEVICES)}")
     kind = DEVICES[device]
     if scale is None and not kind.fixed_unit:
         raise InputError(

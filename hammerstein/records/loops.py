@@ -296,6 +296,7 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
     width = _at(u[falling], y[falling], mid, path.noise) - _at(u[rising], y[rising], mid, path.noise)
     sign = _sign(u, y, path)
     u_start, y_start, u_stop, y_stop = path.tips
+    v, x = u - u[0], y - y[0]  # smaller numbers, smaller rounding errors
     closure = y_stop - y_start + _end_slope(u, smooth, path.turn) * (u_start - u_stop)
     return Loop(
         input=input_name,
@@ -305,7 +306,7 @@ def _measured(path: _Path, input_name: str, output_name: str) -> Loop:
         mid_v=mid,
         height_um=float(np.ptp(smooth)),
         width_um=sign * width,
-        area_v_um=sign * _area(u, y),
+        area_v_um=sign * 0.5 * float(v[:-1] @ x[1:] - v[1:] @ x[:-1]),  # shoelace formula, its ends joined
         closure_um=closure,
         drift_um=closure,
         settled=False,
@@ -316,12 +317,6 @@ def _sign(u: Array, y: Array, path: _Path) -> float:
     """Direction in which the output moves: -1 where it falls with the voltage."""
     rise = (y[path.turn] - 0.5 * (y[0] + y[-1])) * np.sign(u[path.turn] - u[0])
     return -1.0 if rise < -CLEAR * path.noise else 1.0
-
-
-def _area(u: Array, y: Array) -> float:
-    """Shoelace formula; the loop is closed by the straight line from its end to its start."""
-    v, x = u - u[0], y - y[0]  # smaller numbers, smaller rounding errors
-    return 0.5 * float(v[:-1] @ x[1:] - v[1:] @ x[:-1])
 
 
 def _smooth(y: Array, noise: float) -> Array:

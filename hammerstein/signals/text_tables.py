@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hammerstein.arrays import Array, Flags, Indices
+from hammerstein.arrays import Array, Indices
 from hammerstein.errors import InputError, Mistake
 from hammerstein.signals.units import is_unit
 
@@ -305,7 +305,10 @@ def read_text(
         )
     columns, spoiled = zip(*(_numbers(frame[index], layout.dialect) for index in indices), strict=True)
     values = np.vstack(columns)
-    filled = np.flatnonzero(np.isfinite(values).any(axis=0) | _text_flags(spoiled, values.shape[1]))
+    written = np.isfinite(values).any(axis=0)
+    for texts in spoiled:
+        written[list(texts)] = True
+    filled = np.flatnonzero(written)
     samples = int(filled[-1]) + 1 if filled.size else 0
     for name, texts in zip(names, spoiled, strict=True):
         mistakes += _text_mistakes(name, texts, lines)
@@ -357,13 +360,6 @@ def _numbers(series: Any, dialect: Dialect) -> tuple[Array, dict[int, str]]:
         numbers = np.array([np.nan if value is None else value for value in found])
     spoiled = np.flatnonzero(np.isnan(numbers) & series.notna().to_numpy())
     return numbers, {int(k): str(series.iloc[k]).strip() for k in spoiled}
-
-
-def _text_flags(spoiled: Sequence[dict[int, str]], samples: int) -> Flags:
-    flags = np.zeros(samples, dtype=bool)
-    for texts in spoiled:
-        flags[list(texts)] = True
-    return flags
 
 
 def _text_mistakes(name: str, texts: dict[int, str], rows: Indices) -> list[Mistake]:
