@@ -407,7 +407,8 @@ def _sampling(setup: SetUp) -> Iterator[str]:
         if isinstance(setup.plant.model.dynamics, StaticDynamics):
             yield (
                 held
-                + "Without dynamics, it occurs between the samples only; the numbers here are at samples."
+                + "Without dynamics, it occurs between the samples only; "
+                + "the numbers in this report are errors at the samples."
             )
         else:
             yield held + "Only a law or a model with dynamics accounts for it."
