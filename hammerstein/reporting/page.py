@@ -185,7 +185,7 @@ def _framed(tokens: Sequence[Token], drawn: Mapping[str, bytes]) -> None:
 
 
 def _replaced(token: Token, html: Markup) -> None:
-    token.type, token.children, token.content = "html_block", None, html
+    token.type, token.children, token.content = "html_block", None, str(html)  # Markup would escape the rest
 
 
 _SVG = "{http://www.w3.org/2000/svg}"

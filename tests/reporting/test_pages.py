@@ -210,6 +210,7 @@ def test_short_heads_are_level_and_nothing_is_parted_from_what_it_numbers() -> N
     """Heads such as 10 Hz were turned upright; titles and bounds were broken before a unit or a number."""
     table = Markdown("| [um] | 10 Hz | frequency [Hz] |\n| --- | --- | --- |\n| a | < 1e-6 | b, trial 1 |\n")
     shown, _ = html_of(table)
+    assert "<th>10\xa0Hz</th>" in shown
     assert re.findall(r'<th class="upright">(.*?)</th>', shown) == ["frequency [Hz]"]
     assert "&lt;\xa01e-6" in shown
     assert "b, trial\xa01" in shown
