@@ -305,6 +305,7 @@ VARIANTS = (
     "away",
     "twice",
     "hammerstein",
+    "preisach exact",
 )
 """Words of cases that run with ``--full``: variants whose loops a compiler makes anew."""
 

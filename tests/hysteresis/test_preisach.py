@@ -106,6 +106,7 @@ def test_the_inverse_puts_coupled_axes_on_any_path(seed, m):
     np.testing.assert_array_equal(np.stack(each, axis=1), drive)
 
 
+@pytest.mark.full
 def test_at_the_end_of_the_range_the_drive_stands_there_and_comes_back():
     model, low, high = random_model(3, 1), -4.0, 5.0
     law = hammerstein.ExactInverse().design(model, (low, high), 1e-3)

@@ -136,7 +136,6 @@ class Reader(HTMLParser):
         assert not [name for name in found if name.startswith("on")]
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_one_file_and_holds_no_text_of_strangers_as_markup(folder: Path, name: str) -> None:
     page = Reader((folder / name).read_text())
