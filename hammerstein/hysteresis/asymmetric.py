@@ -491,7 +491,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:
         """Return the number of dead-zones."""
         most = self.lines.n.max(initial=0)
-        return [f"{most} dead-zones for each input beside the plays"] if most else [PLAYS_ALONE]
+        return [f"dead-zones for each input beside the plays: {most}"] if most else [PLAYS_ALONE]
 
     def file(self) -> AsymmetricFile:
         """Form in a model file; the voltages of the file hold the working point."""

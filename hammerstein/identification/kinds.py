@@ -394,10 +394,8 @@ def _of_kind(
         late = f"used a known delay of {task.delay_samples:g} samples"
         notes.append(f"{late}: a delay and growing thresholds look alike")
     if fit.at_limit:
-        notes.append(
-            f"{len(fit.at_limit)} parameters of the hysteresis reach a limit: the records do not "
-            "determine them"
-        )
+        count = len(fit.at_limit)
+        notes.append(f"parameters of the hysteresis at a limit, which the records do not determine: {count}")
     at_limit = bool(fit.at_limit)
     return FittedBlock(fit.hysteresis, tuple(notes), ridge, picked, placed, at_limit=at_limit), fit.behind
 

@@ -52,7 +52,7 @@ def test_identify_finds_the_stack_and_says_what_the_dead_zones_gain():
     assert ours < 0.3 * plays
     assert fit.invertible
     assert "Hysteresis beyond plays improves the model" in fit.verdict
-    assert any("dead-zones for each input beside the plays" in note for note in fit.notes)
+    assert any("dead-zones for each input beside the plays: " in note for note in fit.notes)
 
 
 def test_a_block_without_dead_zones_is_plays_and_nothing_is_said_to_lie_beyond_them():
