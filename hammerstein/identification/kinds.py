@@ -189,8 +189,7 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Hammerste
         if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
     nearest = _first_as_good(task, found)
-    like = nearest.block if nearest is found[0] else _again(nearest.block)  # whose columns are its own
-    nearest = _before(task, thresholds_v, nearest.behind, like)
+    nearest = _before(task, thresholds_v, nearest.behind, _again(nearest.block), last=True)
     begun = _begun_anew(task, thresholds_v, nearest, first=False)
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 
@@ -278,7 +277,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
     """
     free, least = _free_delay(task), math.inf
     found = OutputDynamics((), 0.0 if free else task.delay_samples)
-    whole = _before(task, thresholds_v, found, alone, ROUGHLY)
+    whole = _before(task, thresholds_v, found, None if alone.placed else alone, ROUGHLY)
     for turn in range(MOST_TURNS):
         late = free and turn == DELAY_TURN
         found = search_output_dynamics(task, whole.block.hysteresis, found, late)
@@ -292,7 +291,9 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
         if not (moved or lowers(error, least, WORTHWHILE)):
             break
         least = error
-    sure = sure_output_dynamics(task, whole.block.hysteresis, found)
+    if whole.block.picked:
+        whole = _before(task, thresholds_v, found, last=True)
+    sure = sure_output_dynamics(task, whole.block.hysteresis, whole.behind)
     return _before(task, thresholds_v, sure, replace(whole.block, rough=True))._replace(behind=sure)
 
 
@@ -348,10 +349,11 @@ def _before(
     found: OutputDynamics,
     like: FittedBlock | None = None,
     enough: float = ENOUGH,
+    last: bool = False,
 ) -> HammersteinFit:
-    """Block before the axes found, with the columns of another one if it is given."""
+    """Block before the axes found, with the columns of another one if it is given; see ``_of_kind``."""
     late = replace(task, delay_samples=found.delay_samples)
-    block, found = _of_kind(late, thresholds_v, found, like, enough)
+    block, found = _of_kind(late, thresholds_v, found, like, enough, last)
     candidate = replace(
         late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit, placed=block.placed
     )
@@ -363,11 +365,17 @@ def _dynamics(task: Task, found: OutputDynamics) -> AxesDynamics | StaticDynamic
 
 
 def _of_kind(
-    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None, enough: float
+    task: Task,
+    thresholds_v: Thresholds,
+    found: OutputDynamics,
+    like: FittedBlock | None,
+    enough: float,
+    last: bool,
 ) -> tuple[FittedBlock, OutputDynamics]:
     """A block of any kind by the one fit: behind it the axes are fitted along with its free numbers.
 
     Where the kind has columns to choose from, folds of the records do, and then only the weights are found.
+    In the ``last`` fit, behind axes that have converged, a few places that are fitted are tried as well.
     ``like`` is where the search begins; where that is rough, only the weights are found again.
     """
     driven = driven_of(task, thresholds_v)
@@ -380,8 +388,12 @@ def _of_kind(
         task.progress("trying numbers of operators")
         block, ridge = chosen_columns(task, begins, driven, _dynamics(task, found), ridge)
         begins = [block]
-        few = _of_few_places(task, kind.spread(driven), driven, found, enough)
-        if few is not None and as_good(task, few.block, block, ridge, _dynamics(task, found)):
+        few = _of_few_places(task, kind.spread(driven), driven, found) if last else None
+        if (
+            few is not None
+            and not few.held
+            and as_good(task, few.block, block, ridge, _dynamics(task, found))
+        ):
             begins, found, picked = [few.block], few.behind, False
     placed = known.placed if known else not picked and bool(kind.spread(driven))
     begins = [block.released(driven) for block in begins] if placed else begins
@@ -401,17 +413,22 @@ def _of_kind(
 
 
 def _of_few_places(
-    task: Task, begins: Sequence[Identifiable], driven: Driven, found: OutputDynamics, enough: float
+    task: Task, begins: Sequence[Identifiable], driven: Driven, found: OutputDynamics
 ) -> BlockFit | None:
     """A block whose places are fitted, without those that are not worth their price; none without begins.
 
-    All of them are left out before the others move, or else the least one alone.
+    All of them are left out before the others move, or else the least one alone. A place at the end of the
+    swing leaves in any case: its column moves at the tips alone.
     """
     if not begins:
         return None
     samples = sum(record.samples for record in task.records)
-    fit = fit_block(task, begins, driven, found, enough=ROUGHLY)
-    fit = fit_block(task, [fit.block], driven, fit.behind, enough=enough)
+
+    def arrived(begun: Identifiable, behind: OutputDynamics) -> BlockFit:
+        there = fit_block(task, [begun.released(driven)], driven, behind)
+        inside = np.ones(len(there.hysteresis.weights[0]), dtype=np.bool_)
+        inside[np.flatnonzero(there.block.roughness.any(axis=0))[list(there.at_limit)]] = False
+        return there if inside.all() else arrived(there.block.with_columns(inside), there.behind)
 
     def criterion(one: BlockFit) -> float:
         columns, left = len(one.hysteresis.weights[0]), np.maximum(one.rms_um, np.finfo(float).tiny)
@@ -424,8 +441,10 @@ def _of_few_places(
                 break
             begun = fewer.block.released(driven).with_columns(kept)
             fewer = fit_block(task, [begun], driven, fewer.behind, refined=False)
-        return fewer if fewer is fit else fit_block(task, [fewer.block], driven, fewer.behind, enough=enough)
+        return fewer if fewer is fit else arrived(fewer.block, fewer.behind)
 
+    rough = fit_block(task, begins, driven, found, enough=ROUGHLY)
+    fit = arrived(rough.block, rough.behind)
     while True:
         trials = (thinned(most) for most in (len(fit.block.free), 1))
         better = next((trial for trial in trials if criterion(trial) < criterion(fit)), None)
