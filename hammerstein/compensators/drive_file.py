@@ -39,7 +39,7 @@ FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
-EARLIER = " Earlier motion shifts the position, and less with --conditioned: both ends of the range first."
+EARLIER = " Earlier motion shifts the position; less so after both ends of the range (--conditioned)."
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,6 +132,11 @@ class Report(NotebookRepr):
         return asked is not None and asked.reading_first
 
     @property
+    def signal(self) -> str:
+        """Kind of the signal, as it is written in a sentence."""
+        return self.scenario.signal.kind.replace("lissajous", "Lissajous")
+
+    @property
     def reads_truth(self) -> bool:
         """Whether the sensor is ideal, so that its readings equal the true position."""
         return self.instruments.sensor == Instruments.ideal().sensor

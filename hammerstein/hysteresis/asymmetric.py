@@ -182,6 +182,8 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
     working_point_v : (m,) voltage from which the model counts [V]; zeros if not given
     weight_covariance : (output,) covariance of the weights, if it is known: pair after pair those of the
         plays, then those of the dead-zones
+    swing_v : lowest and highest voltages (m,) [V], as they are sent, while thresholds and breakpoints are
+        fitted to records; None otherwise
 
     Raises
     ------
@@ -204,7 +206,6 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
     working_point_v: Array | None = None
     weight_covariance: tuple[WeightCovariance, ...] | None = None
     swing_v: tuple[Array, Array] | None = field(default=None, repr=False, compare=False)
-    """Lowest and highest voltages (m,), as they are sent, while thresholds and breakpoints are fitted [V]."""
 
     kind: ClassVar[str] = "asymmetric"
     wipes_out: ClassVar[bool] = True
@@ -315,11 +316,13 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             ]
             parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
             rows.append([Pair(pair.thresholds_v, w) for pair, w in zip(pairs, parts[::2], strict=True)])
-            zones.append(
-                tuple(DeadZones(b.breakpoints_v, w) for b, w in zip(bends, parts[1::2], strict=True))
-            )
-        plays = PrandtlIshlinskii(tuple(tuple(row) for row in rows))
-        return replace(self, plays=plays, zones=tuple(zones), weight_covariance=None)
+            zones.append([DeadZones(b.breakpoints_v, w) for b, w in zip(bends, parts[1::2], strict=True)])
+        return self._with(PrandtlIshlinskii(tuple(tuple(row) for row in rows)), zones)
+
+    def _with(self, plays: PrandtlIshlinskii, zones: Sequence[Sequence[DeadZones]]) -> Asymmetric:
+        """The same with other parts, of whose weights no covariance is known."""
+        parts = tuple(tuple(row) for row in zones)
+        return replace(self, plays=plays, zones=parts, weight_covariance=None)
 
     @property
     def places(self) -> tuple[Array, ...]:
@@ -334,7 +337,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             tuple(DeadZones(np.sort(next(points)), zone.weights_um_per_v) for zone in row)
             for row in self.zones
         )
-        return replace(self, plays=plays, zones=tuple(zones), weight_covariance=None)
+        return self._with(plays, zones)
 
     def released(self, driven: Driven) -> Asymmetric:
         """Thresholds above 0 and breakpoints, which all outputs share, become free; see ``Identifiable``."""
@@ -440,9 +443,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             pairs.append(tuple(Pair(p.thresholds_v[m], p.weights_um_per_v[m]) for p, m in own))
             behind = zip(bends, masks[1::2], strict=True)
             zones.append(tuple(DeadZones(z.breakpoints_v[m], z.weights_um_per_v[m]) for z, m in behind))
-        return replace(
-            self, plays=PrandtlIshlinskii(tuple(pairs)), zones=tuple(zones), weight_covariance=None
-        )
+        return self._with(PrandtlIshlinskii(tuple(pairs)), zones)
 
     @property
     def roughness(self) -> Array:

@@ -16,10 +16,13 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.model_selection import moments_of_output
 from hammerstein.identification.operators import CURVE_SAMPLES
+from hammerstein.identification.output_dynamics import OutputDynamics
+from hammerstein.identification.projection import ROUGHLY, BlockFit, fit_block
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.folds import left_out
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, ridge_penalty
+from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.identification.task import Task
 
 T = TypeVar("T")
@@ -59,13 +62,69 @@ def chosen_columns(
     return _first_near(found, lambda one: one[2])[:2]
 
 
-def as_good(task: Task, one: Identifiable, other: Identifiable, ridge: float, dynamics: Dynamics) -> bool:
-    """Whether a block leaves at most 0.5 % more on the folds than another one with its penalty."""
-    alone, beside = (
-        _errors_left_out(task, block, dynamics)(np.ones(len(block.roughness.T), dtype=np.bool_), own)
-        for block, own in ((one, RIDGES[-1]), (other, ridge))
-    )
-    return alone <= (1.0 + NEAR) * beside
+def few_places(task: Task, begins: Sequence[Identifiable], driven: Driven, found: OutputDynamics) -> BlockFit:
+    """Block whose places are fitted, without those that are not worth their price.
+
+    All of them are left out before the others move, or else the least one alone. A place at the end of the
+    swing leaves in any case: its column moves at the tips alone.
+
+    Parameters
+    ----------
+    task : records, starts, delay
+    begins : initial blocks, whose places are among their free numbers
+    driven : how the records drive the inputs
+    found : axes behind the hysteresis, which are fitted along
+    """
+    outputs, samples = task.outputs, sum(record.samples for record in task.records)
+    due = price(outputs, samples)
+
+    def arrived(begun: Identifiable, behind: OutputDynamics) -> BlockFit:
+        there = fit_block(task, [begun.released(driven)], driven, behind)
+        inside = np.ones(len(there.hysteresis.weights[0]), dtype=np.bool_)
+        inside[np.flatnonzero(there.block.roughness.any(axis=0))[list(there.at_limit)]] = False
+        return there if inside.all() else arrived(there.block.with_columns(inside), there.behind)
+
+    def criterion(one: BlockFit) -> float:
+        left = np.maximum(one.rms_um, np.finfo(float).tiny)
+        return 2.0 * float(np.log(left).mean()) + due * len(one.hysteresis.weights[0])
+
+    def thinned(most: int) -> BlockFit:
+        fewer = fit
+        for _ in range(most):
+            if (kept := _worth(fewer, due * outputs * samples)).all():
+                break
+            begun = fewer.block.released(driven).with_columns(kept)
+            fewer = fit_block(task, [begun], driven, fewer.behind, refined=False)
+        return fewer if fewer is fit else arrived(fewer.block, fewer.behind)
+
+    rough = fit_block(task, begins, driven, found, enough=ROUGHLY)
+    fit = arrived(rough.block, rough.behind)
+    while True:
+        trials = (thinned(most) for most in (len(fit.block.free), 1))
+        better = next((trial for trial in trials if criterion(trial) < criterion(fit)), None)
+        if better is None:
+            return fit._replace(hysteresis=cast("Hysteresis[Any]", fit.block.settled()))
+        fit = better
+
+
+def _worth(fit: BlockFit, due: float) -> Flags:
+    """Every column but the one that takes away least of the squared error, if that is less than is due.
+
+    A column takes away (w / its standard error)^2, in parts of the variance.
+    """
+    hysteresis = fit.hysteresis
+    worth = np.zeros(len(hysteresis.weights[0]))
+    for w, known in zip(hysteresis.weights, hysteresis.weight_covariance or (), strict=True):
+        worth += w**2 / np.maximum(np.diag(known.covariance), np.finfo(float).tiny)
+    worth = np.where(fit.block.roughness.any(axis=0), worth, np.inf)
+    least = int(np.argmin(worth))
+    return np.asarray(np.arange(len(worth)) != (least if worth[least] < due else -1))
+
+
+def error_left_out(task: Task, block: Hysteresis[Any], dynamics: Dynamics, ridge: float) -> float:
+    """Rms error of a block with all its columns on the folds left out in turn, in parts of the ranges."""
+    whole = cast(Identifiable, block)
+    return _errors_left_out(task, whole, dynamics)(np.ones(len(whole.roughness.T), dtype=np.bool_), ridge)
 
 
 def _chosen(

@@ -9,12 +9,17 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from hammerstein.arrays import Array, Flags
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
-from hammerstein.identification.columns import as_good, chosen_columns
+from hammerstein.identification.columns import (
+    NEAR,
+    chosen_columns,
+    error_left_out,
+    few_places,
+)
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess
@@ -28,9 +33,9 @@ from hammerstein.identification.output_dynamics import (
     search_output_dynamics,
     sure_output_dynamics,
 )
-from hammerstein.identification.projection import ENOUGH, ROUGHLY, BlockFit, fit_block
+from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
 from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
-from hammerstein.identification.score import Candidate, invertibility_of, price, score
+from hammerstein.identification.score import Candidate, invertibility_of, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,
     closed,
@@ -189,7 +194,8 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Hammerste
         if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
     nearest = _first_as_good(task, found)
-    nearest = _before(task, thresholds_v, nearest.behind, _again(nearest.block), last=True)
+    like = nearest.block if nearest is found[0] else _again(nearest.block)  # whose columns are its own
+    nearest = _with_few_places(task, thresholds_v, _before(task, thresholds_v, nearest.behind, like))
     begun = _begun_anew(task, thresholds_v, nearest, first=False)
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 
@@ -291,10 +297,27 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
         if not (moved or lowers(error, least, WORTHWHILE)):
             break
         least = error
-    if whole.block.picked:
-        whole = _before(task, thresholds_v, found, last=True)
+    whole = _with_few_places(task, thresholds_v, whole)
     sure = sure_output_dynamics(task, whole.block.hysteresis, whole.behind)
     return _before(task, thresholds_v, sure, replace(whole.block, rough=True))._replace(behind=sure)
+
+
+def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -> HammersteinFit:
+    """The same model, or one with few places that are fitted if it leaves as little on the folds.
+
+    In front of axes that have not converged, too few columns would seem sufficient.
+    """
+    task = replace(task, delay_samples=whole.behind.delay_samples)
+    driven, kind = driven_of(task, thresholds_v), identifiable_kinds()[task.settings.hysteresis]
+    if not whole.block.picked or not (begins := kind.spread(driven)):
+        return whole
+    few = few_places(task, begins, driven, whole.behind)
+    ridge = whole.block.ridge
+    many = error_left_out(task, whole.block.hysteresis, whole.candidate.dynamics, ridge)
+    left = error_left_out(task, few.hysteresis, _dynamics(task, few.behind), ridge)
+    if few.held or left > (1.0 + NEAR) * many:
+        return whole
+    return _before(task, thresholds_v, few.behind, FittedBlock(few.hysteresis, ridge=ridge, placed=True))
 
 
 def _again(block: FittedBlock) -> FittedBlock | None:
@@ -349,11 +372,10 @@ def _before(
     found: OutputDynamics,
     like: FittedBlock | None = None,
     enough: float = ENOUGH,
-    last: bool = False,
 ) -> HammersteinFit:
-    """Block before the axes found, with the columns of another one if it is given; see ``_of_kind``."""
+    """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
-    block, found = _of_kind(late, thresholds_v, found, like, enough, last)
+    block, found = _of_kind(late, thresholds_v, found, like, enough)
     candidate = replace(
         late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit, placed=block.placed
     )
@@ -365,17 +387,11 @@ def _dynamics(task: Task, found: OutputDynamics) -> AxesDynamics | StaticDynamic
 
 
 def _of_kind(
-    task: Task,
-    thresholds_v: Thresholds,
-    found: OutputDynamics,
-    like: FittedBlock | None,
-    enough: float,
-    last: bool,
+    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None, enough: float
 ) -> tuple[FittedBlock, OutputDynamics]:
     """A block of any kind by the one fit: behind it the axes are fitted along with its free numbers.
 
     Where the kind has columns to choose from, folds of the records do, and then only the weights are found.
-    In the ``last`` fit, behind axes that have converged, a few places that are fitted are tried as well.
     ``like`` is where the search begins; where that is rough, only the weights are found again.
     """
     driven = driven_of(task, thresholds_v)
@@ -388,14 +404,7 @@ def _of_kind(
         task.progress("trying numbers of operators")
         block, ridge = chosen_columns(task, begins, driven, _dynamics(task, found), ridge)
         begins = [block]
-        few = _of_few_places(task, kind.spread(driven), driven, found) if last else None
-        if (
-            few is not None
-            and not few.held
-            and as_good(task, few.block, block, ridge, _dynamics(task, found))
-        ):
-            begins, found, picked = [few.block], few.behind, False
-    placed = known.placed if known else not picked and bool(kind.spread(driven))
+    placed = known is not None and known.placed
     begins = [block.released(driven) for block in begins] if placed else begins
     refined = not picked and (like is None or not like.rough)
     fit = fit_block(task, begins, driven, found, refined=refined, ridge=ridge, enough=enough)
@@ -410,61 +419,6 @@ def _of_kind(
         notes.append(f"parameters of the hysteresis at a limit, which the records do not determine: {count}")
     at_limit = bool(fit.at_limit)
     return FittedBlock(fit.hysteresis, tuple(notes), ridge, picked, placed, at_limit=at_limit), fit.behind
-
-
-def _of_few_places(
-    task: Task, begins: Sequence[Identifiable], driven: Driven, found: OutputDynamics
-) -> BlockFit | None:
-    """A block whose places are fitted, without those that are not worth their price; none without begins.
-
-    All of them are left out before the others move, or else the least one alone. A place at the end of the
-    swing leaves in any case: its column moves at the tips alone.
-    """
-    if not begins:
-        return None
-    samples = sum(record.samples for record in task.records)
-
-    def arrived(begun: Identifiable, behind: OutputDynamics) -> BlockFit:
-        there = fit_block(task, [begun.released(driven)], driven, behind)
-        inside = np.ones(len(there.hysteresis.weights[0]), dtype=np.bool_)
-        inside[np.flatnonzero(there.block.roughness.any(axis=0))[list(there.at_limit)]] = False
-        return there if inside.all() else arrived(there.block.with_columns(inside), there.behind)
-
-    def criterion(one: BlockFit) -> float:
-        columns, left = len(one.hysteresis.weights[0]), np.maximum(one.rms_um, np.finfo(float).tiny)
-        return 2.0 * samples * float(np.log(left).sum()) + columns * price(one.hysteresis, samples)
-
-    def thinned(most: int) -> BlockFit:
-        fewer = fit
-        for _ in range(most):
-            if (kept := _worth_their_price(fewer, samples)).all():
-                break
-            begun = fewer.block.released(driven).with_columns(kept)
-            fewer = fit_block(task, [begun], driven, fewer.behind, refined=False)
-        return fewer if fewer is fit else arrived(fewer.block, fewer.behind)
-
-    rough = fit_block(task, begins, driven, found, enough=ROUGHLY)
-    fit = arrived(rough.block, rough.behind)
-    while True:
-        trials = (thinned(most) for most in (len(fit.block.free), 1))
-        better = next((trial for trial in trials if criterion(trial) < criterion(fit)), None)
-        if better is None:
-            return fit
-        fit = better
-
-
-def _worth_their_price(fit: BlockFit, samples: int) -> Flags:
-    """Every column but the one that is worth least, if that is less than its weights and its place cost.
-
-    The squared error that a column takes away, in parts of the variance, is (w / its standard error)^2.
-    """
-    hysteresis = fit.hysteresis
-    worth = np.zeros(len(hysteresis.weights[0]))
-    for w, known in zip(hysteresis.weights, hysteresis.weight_covariance or (), strict=True):
-        worth = worth + w**2 / np.maximum(np.diag(known.covariance), np.finfo(float).tiny)
-    worth = np.where(fit.block.roughness.any(axis=0), worth, np.inf)
-    least = int(np.argmin(worth))
-    return np.asarray(np.arange(len(worth)) != (least if worth[least] < price(hysteresis, samples) else -1))
 
 
 def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:

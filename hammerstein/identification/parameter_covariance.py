@@ -38,9 +38,10 @@ from hammerstein.hysteresis.pair import triangle
 from hammerstein.identification.linear.axis_fit import PARTS
 from hammerstein.identification.misspecification import moved_beside_other_laws, other_columns
 from hammerstein.identification.rates import fastest_rad_per_s
-from hammerstein.identification.score import Candidate, price
+from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing, swing_ends
+from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
 from hammerstein.records.record import Record
 
@@ -92,7 +93,9 @@ def parameter_covariance(
     if not misfit.size:
         misfit, squares = own, _excess(mean)
     if candidate.placed:
-        squares = max(squares, HIDDEN * hysteresis.n_inputs * price(hysteresis, mean.samples))
+        readings = hysteresis.n_outputs * mean.samples
+        hidden = HIDDEN * hysteresis.n_inputs * price(hysteresis.n_outputs, mean.samples)
+        squares = max(squares, hidden * readings)
     most = _most(misfit[cells:], scale[cells:])
     misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares, most)
     alone = np.linalg.norm(own, axis=1)

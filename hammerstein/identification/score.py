@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -29,11 +28,6 @@ AT_REST = 0.01
 """Part of the swing by which a voltage may have moved while the actuator counts as at rest."""
 _block = lru_cache(maxsize=16)(SensorModel.block)
 """Many starts are tried with one and the same model."""
-
-
-def price(hysteresis: Hysteresis[Any], samples: int) -> float:
-    """Squared error that a place and its weights must take away, in parts of the variance (Schwarz)."""
-    return (1 + hysteresis.n_outputs) * math.log(samples)
 
 
 @dataclass(frozen=True, eq=False)

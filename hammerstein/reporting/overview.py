@@ -131,10 +131,7 @@ def _conditions(report: Report) -> str:
     """Signal, amplitude and frequency, such as ``circle, 50 um, 50 to 200 Hz``."""
     conditions = [Condition.of(row) for row in _within_range(report)]
     sizes = [c.amplitude for c in conditions if c.amplitude is not None]
-    parts = [
-        report.scenario.signal.kind.replace("lissajous", "Lissajous"),
-        _span(sizes, conditions[0].unit if sizes else ""),
-    ]
+    parts = [report.signal, _span(sizes, conditions[0].unit if sizes else "")]
     return ", ".join(part for part in [*parts, _span([c.frequency_hz for c in conditions], "Hz")] if part)
 
 

@@ -172,8 +172,7 @@ def _facts(report: Report) -> Iterator[str]:
     found = sorted({row.frequency_hz for row in report.rows if row.frequency_hz})
     if found:
         yield f"{found[0]:g} Hz" if len(found) == 1 else f"{found[0]:g} to {found[-1]:g} Hz"
-    kind = scenario.signal.kind.replace("lissajous", "Lissajous")
-    yield f"{kind} {'in V' if scenario.drive is not None else 'in um'}"
+    yield f"{report.signal} {'in V' if scenario.drive is not None else 'in um'}"
 
 
 def _number_files(report: Report) -> Iterator[NumberFile]:

@@ -314,10 +314,10 @@ def _conduct(report: Report) -> Iterator[str]:
     signal = report.scenario.signal
     if unsettled:
         never = sum(NEVER_SETTLES in text for text in unsettled)
-        after = "raise settle_cycles or settle_s in [measure]" + f" (does not help {never} of them)" * bool(
-            never
-        )
-        after = after if never < len(unsettled) else "more cycles do not help, see below"
+        after = "raise settle_cycles or settle_s in [measure]"
+        if never:
+            some = f"{after} (does not help {never} of them)"
+            after = some if never < len(unsettled) else "more cycles do not help, see below"
         named = f"{len(unsettled)} of {len(runs)} runs had not settled: {_grouped(unsettled)}"
         named = named if len(unsettled) != len(runs) else "No run had settled"
         yield f"{named}. These numbers still change; {after}."

@@ -435,7 +435,7 @@ def test_what_is_expected_names_every_contribution_and_their_rms(tmp_path, capsy
     assert _call("compensate", "duo_bimorph", "circle.csv") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "model untested" in said
-    assert "at rest, without history. Earlier motion shifts the position, and less with --conditioned" in said
+    assert "at rest, without history. Earlier motion shifts the position; less so after" in said
 
 
 def test_an_untested_rest_position_is_no_part_of_the_expected_error():
