@@ -36,6 +36,9 @@ PARTS = 64
 where the record is a single loop, or what only they tell of it would be missing."""
 NEAR = 5e-3
 """Part by which fewer columns or smoother slopes may leave more on what is left out."""
+SHARE = 0.1
+"""Gain of a step, in parts of what a place must save, under which a search for places has arrived: beyond it,
+places that are not worth their price wander, and rounding decides where to."""
 
 
 def chosen_columns(
@@ -75,11 +78,12 @@ def few_places(task: Task, begins: Sequence[Identifiable], driven: Driven, found
     driven : how the records drive the inputs
     found : axes behind the hysteresis, which are fitted along
     """
-    outputs, samples = task.outputs, sum(record.samples for record in task.records)
-    due = price(outputs, samples)
+    outputs = task.outputs
+    due = price(1 + outputs, task.readings)
+    arriving = SHARE * 0.5 * due * outputs
 
     def arrived(begun: Identifiable, behind: OutputDynamics) -> BlockFit:
-        there = fit_block(task, [begun.released(driven)], driven, behind)
+        there = fit_block(task, [begun.released(driven)], driven, behind, enough=arriving)
         inside = np.ones(len(there.hysteresis.weights[0]), dtype=np.bool_)
         inside[np.flatnonzero(there.block.roughness.any(axis=0))[list(there.at_limit)]] = False
         return there if inside.all() else arrived(there.block.with_columns(inside), there.behind)
@@ -91,7 +95,7 @@ def few_places(task: Task, begins: Sequence[Identifiable], driven: Driven, found
     def thinned(most: int) -> BlockFit:
         fewer = fit
         for _ in range(most):
-            if (kept := _worth(fewer, due * outputs * samples)).all():
+            if (kept := _worth(fewer, due * task.readings)).all():
                 break
             begun = fewer.block.released(driven).with_columns(kept)
             fewer = fit_block(task, [begun], driven, fewer.behind, refined=False)

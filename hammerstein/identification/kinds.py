@@ -15,7 +15,6 @@ from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.columns import (
-    NEAR,
     chosen_columns,
     error_left_out,
     few_places,
@@ -50,6 +49,7 @@ from hammerstein.identification.static.static_block import (
     half_swing,
     swing_ends,
 )
+from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.identification.static_candidates import begun_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Task
 from hammerstein.records.record import Record
@@ -303,9 +303,10 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
 
 
 def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -> HammersteinFit:
-    """The same model, or one with few places that are fitted if it leaves as little on the folds.
+    """The same model, or one with few places that are fitted if it leaves less on the folds.
 
-    In front of axes that have not converged, too few columns would seem sufficient.
+    Places are fitted to the folds too, so each must save its price there. In front of axes that have not
+    converged, too few columns would seem sufficient.
     """
     task = replace(task, delay_samples=whole.behind.delay_samples)
     driven, kind = driven_of(task, thresholds_v), identifiable_kinds()[task.settings.hysteresis]
@@ -315,7 +316,8 @@ def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit
     ridge = whole.block.ridge
     many = error_left_out(task, whole.block.hysteresis, whole.candidate.dynamics, ridge)
     left = error_left_out(task, few.hysteresis, _dynamics(task, few.behind), ridge)
-    if few.held or left > (1.0 + NEAR) * many:
+    due = price(len(few.block.released(driven).free), task.readings)
+    if few.held or left * math.exp(0.5 * due) > many:
         return whole
     return _before(task, thresholds_v, few.behind, FittedBlock(few.hysteresis, ridge=ridge, placed=True))
 

@@ -94,7 +94,7 @@ def parameter_covariance(
         misfit, squares = own, _excess(mean)
     if candidate.placed:
         readings = hysteresis.n_outputs * mean.samples
-        hidden = HIDDEN * hysteresis.n_inputs * price(hysteresis.n_outputs, mean.samples)
+        hidden = HIDDEN * hysteresis.n_inputs * price(1 + hysteresis.n_outputs, readings)
         squares = max(squares, hidden * readings)
     most = _most(misfit[cells:], scale[cells:])
     misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares, most)

@@ -46,6 +46,11 @@ class Task:
         return len(self.records[0].y_um)
 
     @property
+    def readings(self) -> int:
+        """Samples of all records and outputs."""
+        return sum(record.y_um.size for record in self.records)
+
+    @property
     def delay_s(self) -> float:
         """Delay of the inputs [s]."""
         return self.delay_samples * self.records[0].sample_time_s

@@ -32,17 +32,17 @@ LEAST_OWN = 1e-11
 """Part of a play's power that must not be explained by the chosen ones: less is rounding."""
 
 
-def price(outputs: int, samples: int) -> float:
-    """Part of the squared error that a threshold with its weights must save.
+def price(numbers: int, readings: int) -> float:
+    """Part of the squared error that some fitted numbers must save, as a threshold with its weights.
 
     This is the criterion of Schwarz (Ann. Stat. 6 (1978) 461-464).
 
     Parameters
     ----------
-    outputs : that share the threshold, each with a weight of its own
-    samples : of each output
+    numbers : one for a threshold, and its weight for each output
+    readings : samples of all outputs
     """
-    return (1 + outputs) * math.log(outputs * samples) / (outputs * samples)
+    return numbers * math.log(readings) / readings
 
 
 def finer(grid: Array, reach_v: float) -> Array:
@@ -88,7 +88,7 @@ def exchanged(
             _sweep(matrix, chosen[leaves], -1.0)
             _sweep(matrix, enters, 1.0)
         chosen[leaves] = enters
-    chosen = _worth(swept, owner, chosen, price(len(moments), moments[0].freedom))
+    chosen = _worth(swept, owner, chosen, price(1 + len(moments), len(moments) * moments[0].freedom))
     return tuple(np.sort(r[chosen[owner[chosen] == k]]) for k in range(len(fine)))
 
 

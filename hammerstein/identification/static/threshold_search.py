@@ -164,7 +164,7 @@ def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Li
         cost=float(np.sum(squares / unit)),
         curvature=np.sum([h / u for (_, h, _), u in zip(each, unit, strict=True)], axis=0),
         pull=np.sum([g / u for (_, _, g), u in zip(each, unit, strict=True)], axis=0),
-        price=price(len(moments), moments[0].freedom),
+        price=price(1 + len(moments), len(moments) * moments[0].freedom),
     )
 
 
