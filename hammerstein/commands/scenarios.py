@@ -17,7 +17,7 @@ from hammerstein.files import refuse_unwritable
 from hammerstein.runtime.resources import folder_of_runs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from contextlib import AbstractContextManager
 
     from hammerstein.experiment.report import Report
@@ -290,7 +290,7 @@ def check(
         result = check_files(
             paths, baseline, update_baseline, crew, watch.progress, watch.finished, overwrite
         )
-    texts = (result.junit, result.markdown, lambda: check_page(result))
+    texts: list[Callable[[], str]] = [result.junit, result.markdown, lambda: check_page(result)]
     for (_, file, owner), text in zip(outputs, texts, strict=True):
         if file is not None:
             write_output(file, text(), owner, overwrite)

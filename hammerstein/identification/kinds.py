@@ -15,6 +15,7 @@ from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.columns import (
+    NEAR,
     chosen_columns,
     error_left_out,
     few_places,
@@ -24,7 +25,7 @@ from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
-from hammerstein.identification.model_selection import Trial, chosen, lowers, trial_of
+from hammerstein.identification.model_selection import Trial, chosen, enough_readings, lowers, trial_of
 from hammerstein.identification.operators import input_grids
 from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import (
@@ -305,8 +306,9 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
 def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -> HammersteinFit:
     """The same model, or one with few places that are fitted if it leaves less on the folds.
 
-    Places are fitted to the folds too, so each must save its price there. In front of axes that have not
-    converged, too few columns would seem sufficient.
+    Places are fitted to the folds too, so each must save its price there; where readings are too few for all
+    the columns, it need only leave as little. In front of axes that have not converged, too few columns would
+    seem sufficient.
     """
     task = replace(task, delay_samples=whole.behind.delay_samples)
     driven, kind = driven_of(task, thresholds_v), identifiable_kinds()[task.settings.hysteresis]
@@ -316,8 +318,10 @@ def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit
     ridge = whole.block.ridge
     many = error_left_out(task, whole.block.hysteresis, whole.candidate.dynamics, ridge)
     left = error_left_out(task, few.hysteresis, _dynamics(task, few.behind), ridge)
-    due = price(len(few.block.released(driven).free), task.readings)
-    if few.held or left * math.exp(0.5 * due) > many:
+    most = (1.0 + NEAR) * many
+    if enough_readings(whole.candidate, task.records):
+        most = many * math.exp(-0.5 * price(len(few.block.released(driven).free), task.readings))
+    if few.held or left > most:
         return whole
     return _before(task, thresholds_v, few.behind, FittedBlock(few.hysteresis, ridge=ridge, placed=True))
 

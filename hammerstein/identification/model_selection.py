@@ -176,10 +176,14 @@ def trial_of(
 
     told : whether the records identify its dynamics
     """
-    parameters = parameters_of(candidate)
-    enough = READINGS * parameters <= sum(record.y_um.size for record in records)
+    told = told and enough_readings(candidate, records)
     squares = fold_squares(candidate, records, starts)
-    return Trial(name, parameters, squares, invertible and not candidate.at_limit, told and enough)
+    return Trial(name, parameters_of(candidate), squares, invertible and not candidate.at_limit, told)
+
+
+def enough_readings(candidate: Candidate, records: Sequence[Record]) -> bool:
+    """Whether every free number has at least three readings."""
+    return READINGS * parameters_of(candidate) <= sum(record.y_um.size for record in records)
 
 
 def parameters_of(candidate: Candidate) -> int:

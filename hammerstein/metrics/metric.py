@@ -15,6 +15,7 @@ from hammerstein.arrays import Array
 from hammerstein.errors import InputError
 from hammerstein.metrics.arrays import LoopFigures, euclidean, worst
 
+ERROR = "the error is reading minus reference, or reading minus a model's prediction"
 RECOVERY_S = 0.01  # a cut voltage leaves a resonance ringing
 
 
@@ -219,48 +220,22 @@ def metric(
     return register
 
 
-@metric(
-    "root mean square of the error of the sensor's reading [um]; the error is reading minus "
-    "reference, or reading minus a model's prediction",
-    drawn=True,
-)
-def rms_um(m: Measured) -> Values:
-    return None if m.errors is None else m.errors.rms
+def _add(name: str, meaning: str, errors: str, part: str, drawn: bool = False) -> None:
+    """A part of the errors; there are none without a reference."""
+    METRICS[name] = Metric(name, meaning, lambda m: getattr(getattr(m, errors), part, None), drawn=drawn)
 
 
-@metric("largest absolute error of the sensor's reading [um]")
-def max_um(m: Measured) -> Values:
-    return None if m.errors is None else m.errors.worst
-
-
-@metric("root mean square of the error of the true position [um], without the sensor", drawn=True)
-def rms_true_um(m: Measured) -> Values:
-    return None if m.true_errors is None else m.true_errors.rms
-
-
-@metric("largest absolute error of the true position [um]", drawn=True)
-def max_true_um(m: Measured) -> Values:
-    return None if m.true_errors is None else m.true_errors.worst
-
-
-@metric("root mean square of the distance between reading and reference over all axes [um]")
-def euclidean_rms_um(m: Measured) -> Values:
-    return None if m.errors is None else m.errors.distance_rms
-
-
-@metric("largest distance between reading and reference over all axes [um]")
-def euclidean_max_um(m: Measured) -> Values:
-    return None if m.errors is None else m.errors.distance_worst
-
-
-@metric("root mean square of the distance between true position and reference over all axes [um]")
-def euclidean_rms_true_um(m: Measured) -> Values:
-    return None if m.true_errors is None else m.true_errors.distance_rms
-
-
-@metric("largest distance between true position and reference over all axes [um]", drawn=True)
-def euclidean_max_true_um(m: Measured) -> Values:
-    return None if m.true_errors is None else m.true_errors.distance_worst
+for _of, _true, _read in (
+    ("errors", "", "the sensor's reading"),
+    ("true_errors", "_true", "the true position"),
+):
+    _why = ", without the sensor" if _true else f"; {ERROR}"
+    _add(f"rms{_true}_um", f"root mean square of the error of {_read} [um]{_why}", _of, "rms", True)
+    _add(f"max{_true}_um", f"largest absolute error of {_read} [um]", _of, "worst", bool(_true))
+for _of, _true, _read in (("errors", "", "reading"), ("true_errors", "_true", "true position")):
+    _between = f"distance between {_read} and reference over all axes [um]"
+    _add(f"euclidean_rms{_true}_um", f"root mean square of the {_between}", _of, "distance_rms")
+    _add(f"euclidean_max{_true}_um", f"largest {_between}", _of, "distance_worst", bool(_true))
 
 
 @metric(
