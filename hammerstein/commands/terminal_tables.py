@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from hammerstein.records.loops import Loop
 
 PLANNED = ("scenario", "part", "", "memory", "time on one processor")
+HELD = "valid-\nation"
 COMPARED = (
-    *("", "model", "param-\neters", "fitted", "valid-\nation", "as\ngood", "in-\nverse"),
+    *("", "model", "param-\neters", "fitted", HELD, "as\ngood", "in-\nverse"),
     *("compens.\nerror", "fit\ns", "step\nns"),
 )
 RECOMMENDED = "*"
@@ -139,12 +140,14 @@ def fit_table(fit: Fit) -> Table:
 
 def comparison_table(found: Comparison) -> Table:
     """One line a model, simplest first; the recommended one is marked."""
-    from hammerstein.reporting.compare_page import cells
+    from hammerstein.reporting.compare_page import figures
 
-    table = _table(f"Models compared: errors in % of the range, {RECOMMENDED} recommended", COMPARED)
+    columns = [name for name in COMPARED if found.held or name != HELD]
+    table = _table(f"Models compared: errors in % of the range, {RECOMMENDED} recommended", columns)
     for entry in found.entries:
         marked = RECOMMENDED if entry.name == found.recommended else ""
-        table.add_row(marked, entry.name, *cells(entry), f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
+        times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
+        table.add_row(marked, entry.name, *figures(entry).values(), *times)
     return _narrow(table)
 
 

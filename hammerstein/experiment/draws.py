@@ -152,14 +152,10 @@ def _drawn(uncertainty: Uncertainty, nominal: Plant, seed: int, number: int) -> 
 
 
 def bands_of(
-    kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
+    uncertainty: Uncertainty, kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> tuple[Band, ...]:
-    """Median and 5-95 % band of every row over the draws; nothing where the scenario has no uncertainty."""
-    scenario = kept.setup.scenario
-    uncertainty = scenario.uncertainty
-    if uncertainty is None:
-        return ()
-    numbered = partial(_drawn, uncertainty, kept.setup.plant, scenario.seed)
+    """Median and 5-95 % band of every row over the draws."""
+    numbered = partial(_drawn, uncertainty, kept.setup.plant, kept.setup.scenario.seed)
     key = uncertainty.model_dump_json(exclude=NO_PART)
     drawn = Actuators("drawing actuators", key, uncertainty.draws, numbered)
     found = figures_on(drawn, kept, cases, jobs, progress)
@@ -213,7 +209,7 @@ class _Exchanged:
 
 
 def sensitivities_of(
-    kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
+    uncertainty: Uncertainty, kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
 ) -> tuple[Sensitivity, ...]:
     """Contribution of each uncertain parameter to the variance of every row and figure.
 
@@ -222,14 +218,13 @@ def sensitivities_of(
     S_g is the part of the variance that vanishes when g alone becomes known; T_g - S_g is the part of g
     together with others. Errors of weights are correlated: those of one output are one group g, whitened by
     the factor of their covariance. Saltelli et al., Computer Physics Communications 181 (2010) 259-270;
-    estimators of SciPy. Nothing where the scenario asks for no sensitivity.
+    estimators of SciPy. Nothing where none is asked for.
 
     Raises InputError where nothing is uncertain.
     """
-    scenario, nominal = kept.setup.scenario, kept.setup.plant
-    uncertainty = scenario.uncertainty
-    if uncertainty is None or uncertainty.sensitivity is None:
+    if uncertainty.sensitivity is None:
         return ()
+    scenario, nominal = kept.setup.scenario, kept.setup.plant
     groups = _groups(uncertainty, nominal.model)
     base = _base(uncertainty, sum(p.size for p in uncertainty.parameters(nominal.model)))
     parts = tuple(part for _, part in groups)

@@ -48,7 +48,7 @@ SECONDS_A_LOOKED_AHEAD_SAMPLE = 5e-8
 SECONDS_A_FED_BACK_SAMPLE = 3.5e-7
 SECONDS_A_LEARNT_SAMPLE = 3e-6
 SECONDS_OF_A_FIT, SECONDS_A_FITTED_SAMPLE = 1.5, 4e-5
-# Of a drawn actuator: to make it, and each run, whose voltages are known
+# Of a random actuator: to make it, and each run, whose voltages are known
 SECONDS_A_DRAW, SECONDS_A_DRAWN_CASE, SECONDS_A_DRAWN_SAMPLE = 5e-4, 1.3e-4, 4.3e-8
 BYTES_A_ROW = 3_000
 BYTES_OF_DRAWN_FIGURES = 200
@@ -236,7 +236,7 @@ def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> P
 
 
 def _runs(scenario: Scenario, plant: Plant, jobs: int, timed: bool) -> Iterator[Part]:
-    """The cases, and their repetition on drawn actuators."""
+    """The cases, and their repetition on random actuators."""
     m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
     axes = len(driven_axes(scenario, len(scenario_axes(scenario, plant.model))))
     others = scenario.sweep.others("frequency_hz")
@@ -277,13 +277,13 @@ def _runs(scenario: Scenario, plant: Plant, jobs: int, timed: bool) -> Iterator[
 def _on_drawn(
     uncertainty: Uncertainty, plant: Plant, rows: float, cases: float, seconds: float
 ) -> Iterator[Part]:
-    """All runs once more on every drawn actuator; of those only the figures stay.
+    """All runs once more on every random actuator; of those only the figures stay.
 
     seconds : of all runs on one of them
     """
     draws = uncertainty.draws
     yield Part(
-        f"{draws:.3g} drawn actuators in {cases:.3g} runs each",
+        f"{draws:.3g} random actuators in {cases:.3g} runs each",
         draws * rows * BYTES_OF_DRAWN_FIGURES,
         draws * seconds,
         "uncertainty.draws",
@@ -292,7 +292,7 @@ def _on_drawn(
         parameters = sum(parameter.varies for parameter in uncertainty.parameters(plant.model))
         count = evaluations(uncertainty.sensitivity, parameters)
         yield Part(
-            f"{count} drawn actuators, ({parameters} + 2) x {uncertainty.sensitivity}, in {cases:.3g} runs "
+            f"{count} random actuators, ({parameters} + 2) x {uncertainty.sensitivity}, in {cases:.3g} runs "
             f"each, for the sensitivities to {parameters} parameters",
             (RESAMPLED_BYTES + count) * rows * BYTES_OF_DRAWN_FIGURES,
             count * seconds,

@@ -290,7 +290,7 @@ def is_path(report: Report) -> bool:
 
 
 def banded_metric(report: Report) -> tuple[str, str]:
-    """Figure for which the spread of drawn actuators is reported, and its name."""
+    """Figure for which the spread of random actuators is reported, and its name."""
     path = is_path(report) and len(report.axes) > 1
     return ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
 

@@ -159,7 +159,7 @@ def run(
     setup, rows = kept.setup, _rows_in(results)
     asked = scenario.assessment
     traces = tuple(result.trace for result in results)
-    return Report(
+    report = Report(
         name=name,
         scenario=scenario,
         actuator=setup.plant.model.name,
@@ -171,10 +171,12 @@ def run(
         rows=rows,
         statements=statements_of(setup, results),
         judgements=() if asked is None else asked.judge(scenario, name, setup.plant.model, rows, store),
-        bands=bands_of(kept, cases, jobs, progress),
-        sensitivities=sensitivities_of(kept, cases, jobs, progress),
         traces=traces,
     )
+    if scenario.uncertainty is None:
+        return report
+    drawn = (scenario.uncertainty, kept, cases, jobs, progress)
+    return replace(report, bands=bands_of(*drawn), sensitivities=sensitivities_of(*drawn))
 
 
 @one_blas_thread()

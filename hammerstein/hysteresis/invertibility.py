@@ -126,14 +126,15 @@ class Invertibility:
             return f"It is not proven that the model has an inverse: {self.unproven}."
         other = min(self.positive, self.negative)
         places = "; ".join(
-            f"{self._name(k)} with {n} moving operators (thresholds up to {r:.4g} V){self._between(k)}"
+            f"{self._name(k)} with {n} moving operator{'s' * (n != 1)} (thresholds up to {r:.4g} V)"
+            + self._between(k)
             for k, (n, r) in enumerate(zip(self.engaged, self.thresholds_v, strict=True))
         )
         first = f"first at {places}" if places else "for example"
-        slopes = np.array2string(self.slopes_um_per_v, precision=4, separator=", ").replace("\n", "")
+        slopes = "; ".join(", ".join(f"{slope:.4g}" for slope in row) for row in self.slopes_um_per_v)
         return (
             f"The model has no inverse: of its {total} slope matrices, {other} have a determinant of "
-            f"the other sign and {self.singular} are singular, {first}: {slopes} um/V."
+            f"the other sign and {self.singular} are singular, {first}: [{slopes}] um/V."
         )
 
 

@@ -72,8 +72,8 @@ def _body(found: Comparison) -> Markdown:
     return markdown_page(
         "compare_body.md.jinja",
         found=found,
-        header=HEADER,
-        lines=[(entry, cells(entry)) for entry in found.entries],
+        header=("model", *figures(found.entries[0])),
+        lines=[(entry, figures(entry).values()) for entry in found.entries],
         rule=found.rule,
         settling=f"{100.0 * SETTLING:g} %",
         headroom=f"{100.0 * HEADROOM:g} %",
@@ -81,23 +81,17 @@ def _body(found: Comparison) -> Markdown:
     ).strip()
 
 
-HEADER = (
-    *("model", "parameters", "fitted [%]", "validation [%]"),
-    *("as good", "exact inverse", "compensator error [%]"),
-)
-"""No times: two comparisons of the same records make the same page."""
-
-
-def cells(entry: Compared) -> list[str]:
-    """Figures of a model, in the order of ``HEADER``."""
-    return [
-        str(entry.parameters),
-        f"{entry.fitted.mean_percent:.3g}",
-        "" if entry.held is None else f"{entry.held.mean_percent:.3g}",
-        "yes" if entry.as_good else "no",
-        "yes" if entry.has_inverse else "no",
-        entry.left.words,
-    ]
+def figures(entry: Compared) -> dict[str, str]:
+    """Figures of a model by their heads; no times: two comparisons of the same records make the same page."""
+    held = {"validation [%]": f"{entry.held.mean_percent:.3g}"} if entry.held else {}
+    return {
+        "parameters": str(entry.parameters),
+        "fitted [%]": f"{entry.fitted.mean_percent:.3g}",
+        **held,
+        "as good": "yes" if entry.as_good else "no",
+        "exact inverse": "yes" if entry.has_inverse else "no",
+        "compensator error [%]": entry.left.words,
+    }
 
 
 def next_command(found: Comparison, folder: Path) -> str:

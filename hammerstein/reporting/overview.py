@@ -148,7 +148,7 @@ def _told(report: Report) -> str:
     if last := _last_trial(report):
         words += f" in trial {last}"
     if report.bands and uncertainty is not None:
-        words += f" over {uncertainty.draws} drawn actuators, median (5 to 95 %)"
+        words += f" over {uncertainty.draws} random actuators, median (5 to 95 %)"
     return words
 
 
@@ -183,7 +183,7 @@ def _last_trial(report: Report) -> int | None:
 def _worst(report: Report) -> list[tuple[str, str]]:
     """Largest error of the true position of each label, over direct transfers and paths within range.
 
-    Of drawn actuators it is the band whose upper end is largest; of what learns that of the last trial.
+    Of random actuators it is the band whose upper end is largest; of what learns that of the last trial.
     """
     last = _last_trial(report)
     bands = {(band.metric, *band.place): band for band in report.bands}

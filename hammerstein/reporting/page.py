@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from hammerstein.escaping import Markdown, templates_of, unbroken
 from hammerstein.reporting.interactive import Interactive
@@ -34,6 +34,8 @@ LEVEL = 8
 """Letters of a head that a telephone does not turn upright in such a table."""
 LONGEST_NUMBER = 36
 """Characters of a cell; a longer one holds words."""
+_OPTION = re.compile(r"(?<!\S)--?[a-z][\w-]*")
+"""Option of a command, in which no line ends."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,10 @@ def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[M
     headings = _anchored(tokens)
     for child in (child for token in tokens for child in token.children or () if child.type == "text"):
         child.content = unbroken(child.content.replace(" / ", "\xa0/ "))  # no line ends before the stroke
+    for child in (one for token in tokens for one in (token, *(token.children or ())) if one.tag == "code"):
+        before, after = ("<pre>", "</pre>\n") if child.type == "fence" else ("", "")
+        words = _OPTION.sub(r'<span class="option">\g<0></span>', str(escape(child.content)))
+        child.type, child.content = "html_inline", f"{before}<code>{words}</code>{after}"
     _tabulated(tokens)
     _framed(tokens, drawn or {})
     return Markup(reader.renderer.render(tokens, reader.options, {})), headings

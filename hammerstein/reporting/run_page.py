@@ -36,7 +36,7 @@ TITLES = {
     "sensitivity": "Causes of the spread",
 }
 CAPTIONS = {
-    "sensitivity": "Shares of the variance over the drawn actuators, for each compensator, at the condition "
+    "sensitivity": "Shares of the variance over the random actuators, for each compensator, at the condition "
     "with the highest 95 % limit. Dark: the parameter alone. Pale: with its interactions. Thin: 95 % limits. "
     "Correlated errors of the weights of one axis count as one parameter.",
     "sweep_true": "One panel for each transfer, one curve for each compensator.",
@@ -230,7 +230,7 @@ def figure_of(name: str, report: Report) -> Shown:
     """What the figure of a file is, and how to read it."""
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
-    banded = ["Median and 5 to 95 % of the drawn actuators, beside the nominal one."] * bool(report.bands)
+    banded = ["Median and 5 to 95 % of the random actuators, beside the nominal one."] * bool(report.bands)
     identified = ["A star marks the frequency at which a model was identified."] * bool(identified_at(report))
     drawn = (*report.scenario.compensators, *report.scenario.models)
     behind = ["Grey curves belong to the other panels."] * (len(drawn) > MOST_CURVES)

@@ -119,7 +119,7 @@ def _answered(report: Report, quote: Quote) -> Sentence | None:
 
 
 def _uncertain(report: Report, contest: Contest) -> Sentence | None:
-    """Median and 95 % limit over the drawn actuators, and the nominal one: the worst of each."""
+    """Median and 95 % limit over the random actuators, and the nominal one: the worst of each."""
     if not report.bands or report.scenario.uncertainty is None:
         return None
     metric, words = banded_metric(report)

@@ -182,7 +182,7 @@ def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 
 
 def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
-    """Median and 5-95 % over the drawn actuators, of the true position."""
+    """Median and 5-95 % over the random actuators, of the true position."""
     path = is_path(report) and len(report.axes) > 1
     metric, words = banded_metric(report)
     bands = {b.place: b for b in report.bands if b.metric == metric}
@@ -196,7 +196,7 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
     title = (
-        f"Spread over the drawn actuators{_place(rows)}: {words} of the true position, median (5 to 95 % of "
+        f"Spread over the random actuators{_place(rows)}: {words} of the true position, median (5 to 95 % of "
         f"{draws} draws, which contain at least {100.0 * share_held(draws):.0f} % of such actuators with "
         "95 % confidence) [um]"
     )

@@ -138,7 +138,7 @@ def test_models_that_no_drive_can_follow_are_refused(pairs, message):
 def test_a_model_without_inverse_is_named_where_it_fails():
     model = _model([[Pair([0.0, 0.5, 2.0], [2.0, -3.0, 5.0])]])
     with pytest.raises(
-        SimulationError, match=r"of its 3 .* 1 .* 2 moving operators \(thresholds up to 0.5 V\): \[\[-1"
+        SimulationError, match=r"of its 3 .* 1 .* 2 moving operators \(thresholds up to 0.5 V\): \[-1"
     ):
         ExactInverseLaw(model, 10.0)
     drive, _ = ExactInverseLaw(model, 10.0, run_anyway=True).respond(

@@ -133,7 +133,7 @@ def test_a_dry_run_prints_the_plan_and_runs_nothing(tmp_path, capsys, monkeypatc
     (tmp_path / "u.toml").write_text(TEXT.replace("{samples}", "1024"))
     assert called("run", tmp_path / "u.toml", "--out", tmp_path / "r", "--dry-run") == 0
     said = capsys.readouterr().out
-    assert "6144 drawn actuators, (4 + 2) x 1024, in 1 runs each, for the sensitivities to 4" in said
+    assert "6144 random actuators, (4 + 2) x 1024, in 1 runs each, for the sensitivities to 4" in said
     assert "GB" in said
     assert not (tmp_path / "r").exists()
 

@@ -44,7 +44,7 @@ LARGE = {
         "identification of 'a'",
         "measured_cycles",
     ),
-    "draws": ({"uncertainty": {"draws": 10**7}}, "drawn actuators", "uncertainty.draws"),
+    "draws": ({"uncertainty": {"draws": 10**7}}, "random actuators", "uncertainty.draws"),
     "sweep": ({"sweep": {"frequency_hz": MANY, "amplitude_um": MANY}}, "5e+07 runs", "the values in [sweep]"),
     "settle": ({"measure": {"settle_cycles": 10**8}}, "runs of up to", "measure.settle_cycles"),
     "sample time": ({"instruments": {"drive": {"sample_time_s": 1e-9}}}, "runs of up to", "sample_time_s"),

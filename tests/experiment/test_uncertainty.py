@@ -115,7 +115,7 @@ def test_a_card_shows_the_band_and_what_was_learnt(tmp_path):
     last = [b for b in report.bands if b.trial == 2 and b.metric == "euclidean_max_true_um"]
     worst = max(last, key=lambda band: band.p95_um)
     shown = f"{number(worst.median_um)} ({number(worst.p5_um)} to {number(worst.p95_um)}) um"
-    assert " in trial 2 over 4 drawn actuators, median (5 to 95 %)" in page
+    assert " in trial 2 over 4 random actuators, median (5 to 95 %)" in page
     assert shown in page
 
 

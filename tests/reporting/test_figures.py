@@ -189,7 +189,7 @@ def test_sweep_of_an_uncertain_actuator_has_bands() -> None:
     drawn = area.get_paths()[0].vertices
     heights = drawn[np.isclose(drawn[:, 0], band.frequency_hz), 1]
     assert sorted({heights.min(), heights.max()}) == pytest.approx([band.p5_um, band.p95_um])
-    assert legend_texts(figure)[-2:] == ["median, 5 to 95 % of drawn actuators", "nominal actuator"]
+    assert legend_texts(figure)[-2:] == ["median, 5 to 95 % of random actuators", "nominal actuator"]
     nominal = next(r for r in report.rows if r.key() == {n: getattr(band, n) for n in r.key()})
     at = list(FIVE["frequency_hz"]).index(band.frequency_hz)
     middle, thin = (figure.axes[0].lines[k].get_ydata()[at] for k in (0, -1))

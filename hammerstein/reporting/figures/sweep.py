@@ -183,7 +183,7 @@ def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
     if any(_mark(curve) is not None for curve in curves):
         entries["identified here"] = Line2D([], [], color="#555555", **STAR)
     banded = sum(curve.band is not None for curve in curves)
-    words = "median, 5 to 95 % of drawn actuators"
+    words = "median, 5 to 95 % of random actuators"
     grey: dict[str, Any] = {"color": "#555555"}
     if banded > 1:
         entries[words] = Line2D([], [], linewidth=BAR_WIDTH, **grey)
