@@ -187,7 +187,7 @@ def export(
         str, typer.Option(help="A law of compensate, or model: the actuator itself.")
     ] = "exact_inverse",
     form: Annotated[str, typer.Option("--format", help="c: C99; fmu: the same C code as an FMU.")] = "c",
-    fmi: Annotated[int, typer.Option(metavar="2|3", help="FMI version of the FMU: 2 or 3.")] = 3,
+    fmi: Annotated[int | None, typer.Option(metavar="2|3", help="Write an FMU of FMI 2 or 3.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the code.")] = None,
     check: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Repeat an export and compare the files.")
@@ -220,7 +220,7 @@ def export(
         raise InputError("export", "give a model and --out DIR, or only --check DIR")
     if form not in FORMATS:
         raise InputError("--format", f"{form!r} is not one of {', '.join(FORMATS)}")
-    if fmi not in (2, 3):
+    if fmi not in (None, 2, 3):
         raise InputError("--fmi", f"{fmi} is not one of 2, 3")
     if out is None:
         raise InputError("--out", "name a folder for the code")
@@ -230,14 +230,14 @@ def export(
             model,
             law,
             sample_time,
-            fmi=fmi,
+            fmi=fmi or 3,
             options=words.options(),
             range_v=sent.ends,
             start_v=sent.begins,
             conditioned=sent.conditioned,
             accept_flagged=sent.accept_flagged,
             float32=float32,
-            form=form,
+            form=form if fmi is None else "fmu",
         )
         written = write_export(request, loaded, out, overwrite)
     tell_kept(written.kept)
@@ -310,8 +310,8 @@ def _write_period(
     (out, run_up), (said, errors, text) = files, wanted.form(period)
     write_output(out, text, wanted.owner(), overwrite)
     write_output(run_up, period.run_up_csv(), DRIVE, overwrite)
-    learnt = () if taught is None else ("finished", "error_rms_um", "noise_um")
-    figures = {**{name: getattr(taught, name) for name in learnt}, "rms_um": errors}
+    learnt = ("finished", "error_rms_um", "noise_um")
+    figures = {name: getattr(taught, name) for name in learnt} if taught else {"rms_um": errors}
     said = said if taught is None else [taught.statement(), *said]
     if as_json:
         tell_json({"drive": str(out), "run_up": str(run_up), **figures, "statements": said})

@@ -153,11 +153,11 @@ class RecordFiles:
         gains = pair_gains(records)
         if self.accept_gain:
             return gains
-        doubts = doubtful_responses(records)
+        doubts = [*doubtful_responses(records)]
         unsure = [] if doubts or self._named_unit() else doubtful_units(gains)
         if unsure:
             raise InputError(records[0].source, f"{unsure[0]}; name the unit: --units nm, um or mm")
-        doubts += doubtful_gains(gains) + doubtful_jumps(records)
+        doubts += [*doubtful_gains(gains), *doubtful_jumps(records)]
         if doubts:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()
@@ -421,7 +421,7 @@ class Reached:
         """Raise InputError for options that a period does not use, because it writes a run-up of its own."""
         if self.lead_in or self.offset is not None or self.approach_side is not None:
             options = "--lead-in, --offset, --approach-side"
-            raise InputError(options, "are for a path, not for --cycle or --table")
+            raise InputError(options, "are for a path, not for a period (--cycle, --table, --learn)")
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:

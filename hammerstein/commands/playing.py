@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -13,6 +14,7 @@ from hammerstein.arrays import Array
 from hammerstein.compensators.drive_file import beyond_records
 from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, PathWork, Tell, drive_csv
 from hammerstein.errors import InputError, Notice, SimulationError
+from hammerstein.escaping import clean
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
 from hammerstein.quantities import interval
@@ -20,6 +22,7 @@ from hammerstein.runtime.manifest import Owner
 from hammerstein.signals.signal_files import chosen, read_signal
 
 PLAYED = Owner("play", single=True)
+MADE_FOR = "# Model "
 EVENLY = 1e-3
 """Part of a sample time by which the time of a row may be off."""
 
@@ -56,6 +59,13 @@ class Played:
             "inputs": {name: [float(row.min()), float(row.max())] for name, row in inputs},
             "outputs": {name: [float(row.min()), float(row.max())] for name, row in outputs},
         }
+
+
+def _made_for(path: Path) -> str:
+    """What a drive file of ours says of its model; empty in any other file."""
+    with path.open(encoding="utf-8", errors="replace") as lines:
+        said = next((line for line in lines if line.startswith(MADE_FOR)), "")
+    return re.split(r"(?<=\))[.:]", said.removeprefix("# "))[0].strip()
 
 
 def played(
@@ -95,6 +105,10 @@ def played(
     work.refuse_too_large(drive_path)
     onlooker.begin(work)
     onlooker.tell("playing")
+    made_for = _made_for(drive_path)
+    if made_for and f"({clean(model.origin)})" not in made_for:
+        text = f"{drive_path}: these voltages were computed for another stage: {made_for}"
+        warnings.warn(text, Notice, stacklevel=2)
     beyond = beyond_records(model, u)
     if beyond:
         warnings.warn(f"{drive_path}: {beyond} The positions there are extrapolated.", Notice, stacklevel=2)

@@ -215,6 +215,8 @@ class Prediction:
 
 
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0  # frequencies tried, and how far below Nyquist
+MOVED = (0.125, 0.25, 0.5, 1.0)
+"""Parts of the way to the middle of the reach by which a path is moved."""
 SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)
 """Parts of the range over which the jump at a reversal is spread."""
 
@@ -250,7 +252,7 @@ class Missed:
             return [(led, self.prefix), (clipped, "--clip")]
         tried = [*self._moved(), *self._softened(), *self._filtered(self.path_um, self.prefix)]
         if not tried:  # corners of a path that does not even begin within reach
-            tried += [found for moved in self._centred for found in self._filtered(*moved)]
+            tried += [found for moved in self._towards_the_middle() for found in self._filtered(*moved)]
         tried.append((led, f"{self.prefix} --clip".strip()))
         return [*sorted(helping for helping in tried if helping[0] < clipped), (clipped, "--clip")]
 
@@ -313,24 +315,24 @@ class Missed:
         within = found.predicted.complete or bool((found.path_error_um <= self.own_um).all())
         return float(found.path_error_um.max()), within
 
-    @cached_property
-    def _centred(self) -> list[tuple[Array, str]]:
+    def _towards_the_middle(self, share: float = 1.0) -> list[tuple[Array, str]]:
         """The path moved to the middle of the reach, and the options for it; none if it was moved already."""
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)
         )
         if self.moved or not np.isfinite(middle).all():
             return []
-        offset = np.array([float(f"{value:.3g}") for value in middle])
+        offset = np.array([float(f"{share * value:.3g}") for value in middle])
         words = f"--lead-in --offset={','.join(f'{value:g}' for value in offset)}"
         return [(self.path_um + offset[:, None], words)]
 
     def _moved(self) -> Iterator[tuple[float, str]]:
-        """The path moved to the middle of what can be reached."""
-        for path_um, words in self._centred:
+        """The path moved towards the middle of what can be reached, as little as brings it within reach."""
+        for path_um, words in (moved for share in MOVED for moved in self._towards_the_middle(share)):
             left, within = self._attempt(self.compensator, path_um)
             if within:
                 yield left, words
+                return
 
     def _softened(self) -> Iterator[tuple[float, str]]:
         """The least softening with which the path is within reach."""

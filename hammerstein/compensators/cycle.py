@@ -69,6 +69,7 @@ class Cycle:
     statement: str
     run_up_v: Array
     first_um: Array
+    learnt: bool = False
 
     @property
     def period_s(self) -> float:
@@ -92,15 +93,18 @@ class Cycle:
         step, jump = self.largest_steps_v()
         seconds = self.run_up_v.shape[1] * self.sample_time_s
         start = ", ".join(f"{value:g}" for value in self.limits.start_v)
+        nominal = (
+            f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
+            f"first period after the run-up, with ringing, {first}."
+        )
         said = [
             f"Model {self.source} ({self.model.origin}). One settled period of {self.period_s:.6g} s "
             "to repeat: after the last row, the first row follows.",
             *verdict_statements(self.model),
             f"Run-up of {seconds:.6g} s from {start} V to the period; send it "
             f"once. Largest step {step:.3g} V; without the run-up the first step is {jump:.3g} V.",
-            f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
-            f"first period after the run-up, with ringing, {first}. The settled position repeats "
-            f"within {length(max(self.closure_um, 1e-5), 2)} um.",
+            *([] if self.learnt else [nominal]),
+            f"The settled position repeats within {length(max(self.closure_um, 1e-5), 2)} um.",
         ]
         return [*said, self.statement] if self.statement else said
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePath
@@ -35,6 +35,7 @@ DRIVE = Owner("drive", single=True)
 ROUGH, AMPLIFIED = 1e-3, 10.0
 """Noise of a drive, relative to its span, and its ratio to the relative noise of the path, from which it is
 named: a path rounded to 1 nm became steps of 15 V for a stage of 200 Hz on a grid of 20 kHz."""
+LARGE_STEP = 0.1  # of the range, from which a step between two samples is named
 FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not what makes a drive rough
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
@@ -148,7 +149,7 @@ class Compensation:
             said.append(self._held())
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
-        said += self._amplified
+        said += [*self._amplified, *self._stepping]
         if self.resampled:
             said.append(self.resampled)
         return said
@@ -178,6 +179,13 @@ class Compensation:
                     f"{rough_v:.1g} V rms on {name}: give the path more digits, or use --filter-hz."
                 ]
         return []
+
+    @property
+    def _stepping(self) -> Iterator[str]:
+        """Name a step between two samples that is large in the range."""
+        for name, row, span in zip(self.model.inputs, self.drive_v, self.law.range.span_v, strict=True):
+            if (step := float(np.abs(np.diff(row)).max())) > LARGE_STEP * span:
+                yield f"Largest step of {name} between two samples: {step:.3g} V."
 
     def _start(self) -> str:
         """Say how the actuator must come to the first row."""

@@ -164,10 +164,11 @@ class IlcUpdate:
         limit = (
             "" if np.isinf(self.limit_hz) else f" Above {self.limit_hz:.4g} Hz the model is too uncertain."
         )
+        lines = f"{self.learnt} line{'s' * (self.learnt != 1)}"
         return (
-            f"{found} Learnt at {self.learnt} lines of the spectrum. If the actuator is within the "
-            f"stated deviations of its model, at most {self.slowest:.2g} of the error at these lines "
-            f"remains after the next trial.{limit}"
+            f"{found} Go on: play the new drive, corrected at {lines} of the spectrum. If the actuator is "
+            f"within the stated deviations of its model, at most {self.slowest:.2g} of the error at these "
+            f"lines remains after the next trial.{limit}"
         )
 
 
@@ -342,7 +343,7 @@ def learn_from_files(
     found, _ = _taught(design, trial, uncertainty, terms.units)
     if before is not None:
         found = found.after(*_taught(design, before, uncertainty, terms.units))
-    return design.cycle(found.drive_v, terms), found
+    return replace(design.cycle(found.drive_v, terms), learnt=True), found
 
 
 def _taught(
@@ -373,7 +374,8 @@ def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:
         raise InputError(str(path), f"has no column {missing[0]}; give the drive file of this trial")
     drive = np.ascontiguousarray(values[[names.index(name) for name in wanted]])
     if drive.shape[1] != samples:
-        raise InputError(str(path), f"has {drive.shape[1]} rows, but a period of the path has {samples}")
+        what = f"has {drive.shape[1]} rows, but a period of the path has {samples}"
+        raise InputError(str(path), f"{what}; make the first drive with --cycle")
     return drive
 
 

@@ -16,7 +16,7 @@ from hammerstein.escaping import clean
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import column, duration, interval, size
 from hammerstein.runtime.resources import free_bytes
-from hammerstein.signals.signal_files import chosen, read_signal
+from hammerstein.signals.signal_files import chosen, holds, read_signal
 from hammerstein.signals.units import displacement_factor, unit_in
 
 LEAST_SHARE, MOST_SHARE = 0.01, 10.0
@@ -168,6 +168,10 @@ def read_path(
     """
     times, values, names = read_signal(path)
     columns = chosen(path, names, model.outputs, "displacement", word)
+    others = [name for i, name in enumerate(names) if i not in columns]
+    if word == "reference" and holds(others, model.inputs):
+        what = f"looks like a record: it holds {', '.join(model.inputs)} too; keep its times and positions"
+        raise InputError(str(path), what)
     values = in_um(path, [names[i] for i in columns], values[columns], model, units)
     samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + 1
     if samples < 2:

@@ -108,8 +108,8 @@ class WaveTable:
             )
         lines = [f"# {clean(' '.join(words.split()))}" for words in head]
         separator = "\t" if self.device == "pi" else ","
-        if self.device == "csv":
-            lines.append(separator.join(column("drive", name, "v") for name in self.cycle.model.inputs))
+        if self.device == "csv":  # the header first, as in a drive file
+            lines.insert(0, separator.join(column("drive", name, "v") for name in self.cycle.model.inputs))
         digits = DEVICES[self.device].digits
         rows = (separator.join(f"{value:.{digits}f}" for value in row) for row in self.numbers().T)
         return "\n".join([*lines, *rows]) + "\n"

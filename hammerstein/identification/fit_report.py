@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,7 +79,7 @@ def fit_of(
     named = faults_left(best, task.records, task.starts)
     flags, plain = _flags(task, built, named), PLAYS_ALONE in built.notes
     where = (held, held_starts) if held else (task.records, task.starts)
-    residual = residual_statements(best, *where, settings)
+    residual = [*residual_statements(best, *where, settings)]
     swing = half_swing(task.records)
     invertible, sentence = _invertible(task, best, voltages)
     return Fit(
@@ -126,13 +126,12 @@ def fit_of(
     )
 
 
-def _bounds(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str]:
+def _bounds(task: Task, built: CandidateSet, named: Sequence[Fault]) -> Iterator[str]:
     """Slopes that the inverse needs and the records would have otherwise."""
     settings, blocks = task.settings, built.best.blocks
-    if settings.solver != "invertible" or settings.hysteresis != "prandtl_ishlinskii":
-        return []
-    spoiled = {name for fault in named for name in fault.outputs}
-    return bound_notes(task.records, blocks.chosen, blocks.free, built.kind == "hammerstein", spoiled)
+    if settings.solver == "invertible" and settings.hysteresis == "prandtl_ishlinskii":
+        spoiled, dynamic = {name for fault in named for name in fault.outputs}, built.kind == "hammerstein"
+        yield from bound_notes(task.records, blocks.chosen, blocks.free, dynamic, spoiled)
 
 
 def _invertible(task: Task, best: Candidate, voltages: Voltages) -> tuple[bool, str]:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -230,9 +230,8 @@ def _of_fitted(mean: _Mean, told: Sequence[_Told], fitted: Indices, scale: Array
     return spread
 
 
-def _scores(one: _Told, mean: _Mean, fitted: Indices) -> list[Array]:
+def _scores(one: _Told, mean: _Mean, fitted: Indices) -> Iterator[Array]:
     """Pull of each part of a record on the numbers fitted."""
-    found = []
     ends = np.linspace(0, one.left.shape[1], PARTS + 1).astype(int)
     moves = [
         one.every
@@ -241,8 +240,7 @@ def _scores(one: _Told, mean: _Mean, fitted: Indices) -> list[Array]:
         for o, (columns, s2) in enumerate(zip(one.by_weights, mean.variance.tolist(), strict=True))
     ]
     for a, b in itertools.pairwise(ends):
-        found.append(np.sum([m[:, a:b] @ left[a:b] for m, left in zip(moves, one.left, strict=True)], axis=0))
-    return found
+        yield np.sum([m[:, a:b] @ left[a:b] for m, left in zip(moves, one.left, strict=True)], axis=0)
 
 
 def _taken_by_axes(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import PurePath
 
 import numpy as np
@@ -52,7 +52,7 @@ OF_A_CREEPING_MODEL = (
 
 def residual_statements(
     candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState], settings: Settings
-) -> list[str]:
+) -> Iterator[str]:
     """Sentences about outputs with errors far above the noise, with proposals; none if all is well.
 
     Parameters
@@ -66,17 +66,15 @@ def residual_statements(
     rms = np.sqrt(np.sum([(error**2).sum(axis=1) for error in left], axis=0) / samples)
     noise = np.array([np.median([noise_rms(r.y_um[o]) for r in records]) for o in range(len(rms))])
     span = ranges(records, starts)
-    found = []
     for o in np.flatnonzero((rms > FAR * noise) & (rms > LEAST_PART * span)):
         hz = _strongest(records, [error[o] for error in left])
         above = float(f"{rms[o] / noise[o]:.2g}") if noise[o] > 0.0 else 0.0  # two digits, and no exponent
         times = f"{above:g} times the noise" if above else "far above the noise"
-        found.append(
+        yield (
             f"The prediction error of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
             f"({noise[o]:.2g} um), mostly near {hz:.3g} Hz: the records contain an effect that the "
             f"model lacks. {_proposal(settings)}."
         )
-    return found
 
 
 def faults_left(
@@ -166,12 +164,11 @@ def record_flags(
     records: Sequence[Record],
     starts: Sequence[InitialState],
     explained: Collection[tuple[str, str]] = (),
-) -> list[str]:
+) -> Iterator[str]:
     """Records that the model misses by more than ten percent of their range.
 
     ``explained`` are records and outputs of which the cause is known.
     """
-    found = []
     for record, start in zip(records, starts, strict=True):
         rms = np.sqrt(np.mean(candidate.residual(record, start) ** 2, axis=1))
         span = np.ptp(record.y_um[:, start.first :], axis=1)
@@ -180,11 +177,10 @@ def record_flags(
         for o in np.flatnonzero((percent > UNREPRESENTED_PERCENT) & moved):
             if (record.source, record.outputs[o]) in explained:
                 continue
-            found.append(
+            yield (
                 f"the error of {record.outputs[o]} in {PurePath(record.source).name} is "
                 f"{percent[o]:.1f} % of its range"
             )
-    return found
 
 
 def shape_flags(
@@ -193,7 +189,7 @@ def shape_flags(
     one_sign: StaticFit,
     spans_um: Array,
     direct: Sequence[tuple[int, int]],
-) -> list[str]:
+) -> Iterator[str]:
     """Saturating loops: weights of one sign miss them, and the branches flatten towards the tips.
 
     Parameters
@@ -203,23 +199,20 @@ def shape_flags(
     spans_um : (output,) ranges of the outputs [um]
     direct : pairs (output, input) to be judged
     """
-    found = []
     for o, k in direct:
         missed = 100.0 * one_sign.rms_um[o] / spans_um[o]
         needed = max(SATURATING_PERCENT, SATURATING_RATIO * 100.0 * free.rms_um[o] / spans_um[o])
         slopes = np.abs(free.hysteresis.pairs[o][k].slopes)
         if missed > needed and slopes[-1] < FLATTENED * slopes.max():
-            found.append(
+            yield (
                 f"{records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
                 f"falls to {100 * slopes[-1] / slopes.max():.0f} % of the steepest slope, weights of "
                 f"one sign have an error of {missed:.1f} % of the range, and minor loops will be wrong"
             )
-    return found
 
 
-def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]) -> list[str]:
+def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]) -> Iterator[str]:
     """Butterfly loops: the output is alike at both tips of the voltage, though it moves in between."""
-    found = []
     for o, k in direct:
         for record in records:
             u, y = record.u_v[k], record.y_um[o]
@@ -228,12 +221,11 @@ def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]
                 continue
             rise = abs(float(y[u >= u.max() - margin].mean() - y[u <= u.min() + margin].mean()))
             if rise < BUTTERFLY * float(np.ptp(y)):
-                found.append(
+                yield (
                     f"{record.outputs[o]} of {PurePath(record.source).name} has no rising loop (a butterfly "
                     "loop or a strong lag): its tips differ by only "
                     f"{100 * rise / float(np.ptp(y)):.0f} % of the range"
                 )
-    return found
 
 
 def turning_back_flags(
@@ -241,13 +233,12 @@ def turning_back_flags(
     records: Sequence[Record],
     starts: Sequence[InitialState],
     direct: Sequence[tuple[int, int]],
-) -> list[str]:
+) -> Iterator[str]:
     """Loops that turn back: an output returns while its voltage keeps its direction, and the model does not.
 
     The return is measured up to the turn of the voltage, so that a lag, which continues after a turn, does
     not count.
     """
-    found = []
     for o, k in direct:
         for record, start in zip(records, starts, strict=True):
             if driven_inputs(record) != (k,):
@@ -255,13 +246,12 @@ def turning_back_flags(
             u, y = record.u_v[k, start.first :], record.y_um[o, start.first :]
             returned = _returned(u, y) - _returned(u, candidate.predict(record, start)[o, start.first :])
             if returned > RETURNED * float(np.ptp(y)):
-                found.append(
+                yield (
                     f"{record.outputs[o]} of {PurePath(record.source).name} turns back: it returns by "
                     f"{100.0 * returned / float(np.ptp(y)):.0f} % of its range while "
                     f"{record.inputs[k]} keeps its direction; lower the amplitude, or use one "
                     "polarity only"
                 )
-    return found
 
 
 def _returned(u: Array, y: Array) -> float:

@@ -93,46 +93,44 @@ def _improves(block: str, without: float, with_it: float) -> str:
     return f"{block} {do} not improve the model: the error is {errors}."
 
 
-def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> list[str]:
+def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> Iterator[str]:
     """Parameters of each axis that the excitation does not identify."""
-    found = []
     for name, fit in zip(outputs, axes, strict=True):
         if fit.one_rate and fit.axis.lag_s is not None:
-            found.append(
+            yield (
                 f"lag of {name}: at the only rate in the records, hysteresis looks like a lag; "
                 "record another rate"
             )
         elif fit.one_rate and fit.axis.resonance_hz is not None:
-            found.append(
+            yield (
                 f"resonance and damping of {name}: {fit.axis.resonance_hz:.4g} Hz is among the first "
                 "harmonics of the only rate in the records, which hysteresis makes, too; record another rate"
             )
         elif not fit.identified:
-            found.append(
+            yield (
                 f"resonance and damping of {name}: dynamics {_how_much_better(fit)} ({fit.rms_um:.4g} "
                 f"um with, {fit.static_rms_um:.4g} um without); excite the axis nearer to its "
                 "resonance"
             )
         elif fit.axis.resonance_hz is None:
-            found.append(f"resonance and damping of {name}: a low-pass fits the records equally well")
+            yield f"resonance and damping of {name}: a low-pass fits the records equally well"
         elif not fit.excited:
-            found.append(
+            yield (
                 f"resonance and damping of {name}: {fit.axis.resonance_hz:.4g} Hz is outside the "
                 "excited band; the value only represents the lag below it"
             )
         elif fit.damping_error_percent is not None and fit.damping_error_percent > UNSURE_DAMPING_PERCENT:
-            found.append(f"damping of {name}: standard error {fit.damping_error_percent:.0f} %")
+            yield f"damping of {name}: standard error {fit.damping_error_percent:.0f} %"
         if fit.lag_error_percent is not None and fit.lag_error_percent > UNSURE_LAG_PERCENT:
             error_s = 0.01 * fit.lag_error_percent * (fit.axis.lag_s or 0.0)
-            found.append(f"lag of {name}: {interval(fit.axis.lag_s or 0.0)} ± {interval(error_s)}")
+            yield f"lag of {name}: {interval(fit.axis.lag_s or 0.0)} ± {interval(error_s)}"
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
-                found.append(
+                yield (
                     f"creep of {name} with a time constant of {mode.time_constant_s:.3g} s: gain "
                     f"{mode.gain:.2g} ± {error:.2g}; use a record several times longer"
                 )
-        found += _unsure_creep(name, fit)
-    return found
+        yield from _unsure_creep(name, fit)
 
 
 def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
@@ -165,13 +163,12 @@ def bound_notes(
     free: StaticFit,
     dynamic: bool,
     explained: Collection[str] = (),
-) -> list[str]:
+) -> Iterator[str]:
     """Slopes of direct pairs that the records would place below their bound.
 
     Slopes that the records do not determine are ignored, and so are outputs with a known fault. The note
     names phase lag as a cause only if the loops widen with the rate.
     """
-    found = []
     for o, k in sorted({(o, k) for o, k, _ in fit.bounded} - set(free.open)):
         name, driven = records[0].outputs[o], records[0].inputs[k]
         if name in explained:
@@ -185,12 +182,11 @@ def bound_notes(
         slopes, pair = [j for oo, kk, j in fit.bounded if (oo, kk) == (o, k)], free.hysteresis.pairs[o][k]
         lowest = min(slopes, key=lambda j: float(pair.slopes[j]))
         count = "1 slope" if len(slopes) == 1 else f"{len(slopes)} slopes"
-        found.append(
+        yield (
             f"{count} from {driven} to {name} held at the lower bound so that the model stays "
             "invertible; unconstrained, the slope with thresholds up to "
             f"{pair.thresholds_v[lowest]:.3g} V would be {pair.slopes[lowest]:.3g} um/V; {remedy}"
         )
-    return found
 
 
 def widening(records: Sequence[Record], k: int, o: int) -> str:

@@ -151,7 +151,7 @@ def _resolved(variables: Variables, name: str) -> str:
     """Path of a variable: as in MATLAB (``Y(3).Data``), or the end of one path alone."""
     if not name and len(variables) == 1:
         return next(iter(variables))
-    dotted = re.sub(r"[({](\d+)[)}]", r".\1", name)
+    dotted = re.sub(r"[({](\d+)[)}]", r".\1", name.strip("/").replace("/", "."))
     for path in (dotted, dotted.replace(".1", "")):
         ends = [known for known in variables if known == path or known.endswith(f".{path}")]
         if path in variables or len(ends) == 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +88,7 @@ def pair_gains(records: Sequence[Record]) -> list[Gain]:
     ]
 
 
-def doubtful_responses(records: Sequence[Record]) -> list[str]:
+def doubtful_responses(records: Sequence[Record]) -> Iterator[str]:
     """Sentences about records whose outputs are a copy of a voltage, or do not answer to any.
 
     An output answers where the voltages, their squares and their rates explain a part of it.
@@ -96,10 +96,11 @@ def doubtful_responses(records: Sequence[Record]) -> list[str]:
     Examples
     --------
     >>> u, noise = np.sin(np.arange(400.0) / 20.0), np.random.default_rng(1).normal(size=400)
-    >>> doubtful_responses([Record([u], [5.0 * u], 1e-3)]), doubtful_responses([Record([u], [noise], 1e-3)])
-    ([], ['no output of record responds to its voltages: they explain less than 2 % of each'])
+    >>> list(doubtful_responses([Record([u], [5.0 * u], 1e-3)]))
+    []
+    >>> list(doubtful_responses([Record([u], [noise], 1e-3)]))
+    ['no output of record responds to its voltages: they explain less than 2 % of each']
     """
-    found = []
     for record in records:
         copies = [
             f"{output} of {record.source} equals the column {name}"
@@ -107,26 +108,26 @@ def doubtful_responses(records: Sequence[Record]) -> list[str]:
             for output, y in zip(record.outputs, record.y_um, strict=True)
             if np.ptp(y) > 0.0 and np.array_equal(u, y)
         ]
-        found += copies
+        yield from copies
         if not copies and _explained(record) < ANSWERED:
-            found.append(
+            yield (
                 f"no output of {record.source} responds to its voltages: they explain less than "
                 f"{100 * ANSWERED:g} % of each"
             )
-    return found
 
 
-def doubtful_jumps(records: Sequence[Record]) -> list[str]:
+def doubtful_jumps(records: Sequence[Record]) -> Iterator[str]:
     """Sentences about outputs that jump while no voltage jumps.
 
     Examples
     --------
     >>> u = np.sin(np.arange(400.0) / 20.0)
     >>> moved = 5.0 * u + 500.0 * (np.arange(400) >= 250)
-    >>> doubtful_jumps([Record([u], [5.0 * u], 1e-3)]), doubtful_jumps([Record([u], [moved], 1e-3)])
-    ([], ['y1 of record jumps by 500.2 um at row 251, but no voltage jumps: cut the record there'])
+    >>> list(doubtful_jumps([Record([u], [5.0 * u], 1e-3)]))
+    []
+    >>> list(doubtful_jumps([Record([u], [moved], 1e-3)]))
+    ['y1 of record jumps by 500.2 um at row 251, but no voltage jumps: cut the record there']
     """
-    found = []
     for record in records:
         steps = np.diff(record.y_um, axis=1)
         size = np.abs(steps)
@@ -138,41 +139,38 @@ def doubtful_jumps(records: Sequence[Record]) -> list[str]:
         fastest = float(np.max(np.abs(np.diff(u, axis=1)).max(axis=1) / np.ptp(u, axis=1)))
         largest = max(JUMP, SUDDEN * fastest) * float(left.max())
         for o in np.flatnonzero((jumps > largest) & (jumps > SUDDEN * np.quantile(size, USUAL, axis=1))):
-            found.append(
+            yield (
                 f"{record.outputs[o]} of {record.source} jumps by {jumps[o]:.4g} um at row "
                 f"{record.rows[places[o] + 1]}, but no voltage jumps: cut the record there"
             )
-    return found
 
 
-def doubtful_clocks(records: Sequence[Record]) -> list[str]:
+def doubtful_clocks(records: Sequence[Record]) -> Iterator[str]:
     """Sentences about records whose times may be in another unit: sampled slowly and yet finely, or fast.
 
     Examples
     --------
     >>> u = np.sin(2.0 * np.pi * np.arange(4000.0) / 1000.0)
-    >>> doubtful_clocks([Record([u], [5.0 * u], 1e-4)])
+    >>> list(doubtful_clocks([Record([u], [5.0 * u], 1e-4)]))
     []
-    >>> doubtful_clocks([Record([u], [5.0 * u], 0.1)])[0].partition(". ")[0]
+    >>> next(doubtful_clocks([Record([u], [5.0 * u], 0.1)])).partition(". ")[0]
     'record: 10 Hz for 400 s, and the voltage turns 8 times'
     """
-    found = []
     for record in records:
         rate_hz = 1.0 / record.sample_time_s
         driven = record.u_v[list(driven_inputs(record))]
         most = max(len(turning_points(u, SWING * float(np.ptp(u)))) for u in driven) - 2
         if rate_hz < SLOW_HZ and 2.0 * record.samples > FINE * most:
-            found.append(
+            yield (
                 f"{record.source}: {rate_hz:.4g} Hz for {record.samples / rate_hz:.4g} s, and the "
                 f"voltage turns {most} times. If its times are in milliseconds, name their column t_ms"
             )
         if 0.5 * most * rate_hz / record.samples > FAST_HZ:
-            found.append(
+            yield (
                 f"{record.source}: the voltage turns {most} times within "
                 f"{record.samples / rate_hz:.4g} s, too fast for an actuator. If its times are in "
                 "seconds, name their column t_s"
             )
-    return found
 
 
 def _explained(record: Record) -> float:

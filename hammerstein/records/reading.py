@@ -245,17 +245,13 @@ def _refuse_never_driven(records: Sequence[Record]) -> None:
     refuse(source, mistakes)
 
 
-def _axis_mistakes(kind: str, names: Sequence[str], values: Sequence[Array]) -> list[Mistake]:
-    mistakes = []
+def _axis_mistakes(kind: str, names: Sequence[str], values: Sequence[Array]) -> Iterator[Mistake]:
     for k, name in enumerate(names):
         place = where(name)
         if not any(moves(value[k]) for value in values):
-            mistakes.append(still_mistake(place, values[0][k], kind))
-            continue
-        span = max(float(np.ptp(value[k])) for value in values)
-        mistake = unit_mistake(place, span, kind)
-        mistakes += [mistake] if mistake else []
-    return mistakes
+            yield still_mistake(place, values[0][k], kind)
+        elif mistake := unit_mistake(place, max(float(np.ptp(value[k])) for value in values), kind):
+            yield mistake
 
 
 def read_paired_records(

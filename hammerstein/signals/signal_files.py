@@ -123,6 +123,11 @@ def chosen(path: str | Path, names: Sequence[str], axes: Sequence[str], kind: Ki
     return found
 
 
+def holds(names: Sequence[str], axes: Sequence[str]) -> bool:
+    """Whether a table has a column for each of these axes, by their names."""
+    return _named(names, axes, axes) is not None
+
+
 def _named(names: Sequence[str], axes: Sequence[str], ours: Sequence[str]) -> list[int] | None:
     """Columns of the names that a file of ours has, else of the axes' names; None where one is missing."""
     forms = (

@@ -186,6 +186,7 @@ def test_without_held_records_it_says_that_nothing_was_tested() -> None:
     assert alone["asymmetric"].held is None
     assert alone.frequencies_hz == (5.0,)
     assert "--validate" in " ".join(alone.sentences())
+    assert "| fitted [%] | as good |" in compare_page(alone).markdown()  # no empty column
     (one,) = (one for one in alone.failed if one.hysteresis == "rate_dependent")
     assert "one rate" in one.reason
 

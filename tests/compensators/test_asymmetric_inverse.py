@@ -158,7 +158,7 @@ def test_the_trap_of_a_smallest_threshold_above_zero_is_none_behind_it():
 
 def test_a_model_that_a_zone_spoils_is_refused_with_its_voltages():
     model = model_of([[Pair([0.0, 1.0], [2.0, 1.0])]], [[DeadZones([1.0, 3.0], [-2.5, 2.5])]], [10.0])
-    with pytest.raises(SimulationError, match=r"1 moving operator  .* between 1 and 3 V"):
+    with pytest.raises(SimulationError, match=r"1 moving operator .* between 1 and 3 V"):
         ExactInverseLaw(model, (1.0, 19.0))
 
 

@@ -283,6 +283,19 @@ def test_a_law_that_lags_is_not_refused_for_a_miss_at_rest(tmp_path, capsys, mon
     assert _call("compensate", "lagging.json", far, "--law", "exact_inverse", "--out", "far_drive.csv") == 3
 
 
+def test_a_step_that_is_large_in_the_range_is_named(tmp_path, capsys, monkeypatch):
+    """A jump of the path is one of the drive; a slow path has none."""
+    monkeypatch.chdir(tmp_path)
+    _stage(tmp_path)
+    slow = 40.0 * smooth_step(np.arange(-50, 750) / 700.0)
+    for name, path_um in (("slow", slow), ("jump", np.where(np.arange(800) < 400, 0.0, 40.0))):
+        path, drive = _path(tmp_path, path_um, f"{name}.csv"), tmp_path / f"{name}_drive.csv"
+        assert _call("compensate", "stage.json", path, "--law", "exact_inverse", "--out", drive) == 0
+        step = np.abs(np.diff(pd.read_csv(drive, comment="#")["drive_u_v"])).max()
+        said = f"Largest step of u between two samples: {step:.3g} V."
+        assert (said in " ".join(capsys.readouterr().out.split())) == (name == "jump")
+
+
 @pytest.mark.parametrize("kind", ["far", "below"])
 def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, monkeypatch, kind):
     """A path 40 um away from where a lightly damped stage stands wants a lead-in; one below it an offset."""
@@ -302,6 +315,7 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
     named = said[1].removeprefix("Remedies, with the remaining error: ")
     option, error_um = re.match(r"(--lead-in(?: --offset=\S+)?) \((\S+) um\)", named).groups()
     assert ("--offset" in option) == (kind == "below")
+    assert kind == "far" or 0.0 < float(option.partition("=")[2]) <= 20.0  # 10 um below: no more than twice
     if kind == "below":  # named to those, too, who have led in already
         assert _call("compensate", "stage.json", path, "--lead-in") == 3
         assert f"remaining error: {option} (" in capsys.readouterr().err
@@ -326,7 +340,9 @@ def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_u
     limits, path = allowed_range(model, Terms((-5.0, 10.0))), np.array([[1.0, 7.0, 3.0], [-2.0, 0.0, 5.0]])
     within = reach(model, list(zip(limits.low_v, limits.high_v, strict=True)))
     here, away = (
-        Missed(model, limits, None, path + np.reshape(by, (2, 1)), None, np.zeros(2), within)._centred[0][0]
+        Missed(
+            model, limits, None, path + np.reshape(by, (2, 1)), None, np.zeros(2), within
+        )._towards_the_middle()[0][0]
         for by in ([0.0, 0.0], away_um)
     )
     np.testing.assert_allclose(away, here, rtol=0.01)

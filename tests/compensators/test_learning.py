@@ -141,6 +141,7 @@ def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
     taught = ilc_update(model, law, path, centred(law, model, path), np.tile(0.9 * path, 3), uncertainty)
     assert taught.limit_hz == first
     assert f"Above {first:.4g} Hz the model is too uncertain." in taught.statement()
+    assert f"Go on: play the new drive, corrected at {taught.learnt} lines" in taught.statement()
 
 
 def test_a_model_that_states_no_error_is_as_uncertain_as_the_actuators_that_learning_is_tried_on():
@@ -369,10 +370,16 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
     assert "worse. Stop: the drive of the previous trial is kept." in said["statements"][0]
     kept, best = (pd.read_csv(f, comment="#")["drive_x_v"] for f in (tmp_path / "kept.csv", drive))
     np.testing.assert_allclose(kept, best, atol=1e-9)
+    said = [line for line in (tmp_path / "next_0.csv").read_text().splitlines() if line.startswith("# ")]
+    assert not any("if the actuator equals the model" in line for line in said)  # it does not
+    assert any("if the actuator equals the model" in line for line in first.read_text().splitlines())
     table = tmp_path / "table.csv"
     asked = ("--learn", drive, measured, "--table", "csv", "--table-points", "125", "--out", table)
     assert _call("compensate", "duo_bimorph", path, *asked) == 0
     assert len(pd.read_csv(table, comment="#")) == 125
+    led = ("--learn", drive, measured, "--lead-in", "--out", tmp_path / "no.csv")
+    assert _call("compensate", "duo_bimorph", path, *led) == 2
+    assert "not for a period (--cycle, --table, --learn)" in capsys.readouterr().err
     wrong = ("--learn", path, measured, "--out", tmp_path / "no.csv")
     assert _call("compensate", "duo_bimorph", path, *wrong) == 2
     assert "drive_x_v" in capsys.readouterr().err

@@ -149,6 +149,8 @@ def test_a_replay_reproduces_the_stated_error(tmp_path, capsys, options, separat
         f"points {table.shape[1]}, rate {1.0 / (hold * T):g} Hz, low {table.min():g}, high {table.max():g}"
     )
     assert (limits in text) == ("csv" in options)
+    if "csv" in options:  # its header is the first line, as genfromtxt wants it
+        assert np.genfromtxt(out, delimiter=",", names=True).dtype.names == ("drive_x_v", "drive_y_v")
 
 
 def test_points_are_placed_for_the_least_played_error(tmp_path):

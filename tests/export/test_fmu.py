@@ -140,7 +140,7 @@ def test_fmpy_simulates_it(unit):
 def test_the_command_writes_a_unit_and_checks_it(tmp_path, capsys):
     out = tmp_path / "unit"
     with pytest.raises(SystemExit) as caught:
-        main(["export", "duo_bimorph", "--law", "none", "--format", "fmu", "--out", str(out)])
+        main(["export", "duo_bimorph", "--law", "none", "--fmi", "3", "--out", str(out)])  # an FMU
     assert not caught.value.code
     assert (out / "duo_bimorph_none.fmu").is_file()
     assert "duo_bimorph_none.fmu" in capsys.readouterr().out

@@ -194,7 +194,7 @@ def test_a_slow_record_tells_no_resonance():
     u[1] = 10.0 * np.sin(2.0 * np.pi * np.arange(2000) / 800)
     fit = fitted([record_of(u, 0.04, np.random.default_rng(0), sample_time_s=0.01)])
     assert not any(axis.identified for axis in fit.axes)
-    statements = axis_statements(("x", "y"), fit.axes)
+    statements = list(axis_statements(("x", "y"), fit.axes))
     assert statements[0].startswith("resonance and damping of x: dynamics do not lower the error")
 
 
@@ -233,7 +233,7 @@ def test_an_axis_that_is_not_told_passes_its_input_unchanged():
 
 def test_unsure_damping_and_creep_are_stated():
     slow = (CreepMode(gain=0.01, time_constant_s=300.0),)
-    said = axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)])
+    said = list(axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)]))
     assert said[0] == "damping of x: standard error 40 %"
     assert said[1].startswith(
         "creep of x with a time constant of 300 s: gain 0.01 ± 0.02; use a record several times longer"
@@ -244,8 +244,8 @@ def test_a_lag_that_is_mostly_error_is_stated():
     """A low-pass far above the sample rate, beside a resonance that is known."""
     axis = Axis(resonance_hz=50.0, damping_ratio=0.1, lag_s=1e-5)
     sure = AxisFit(axis, 0.1, 1.0, (), 0.1, 1.0, lag_error_percent=10.0)
-    assert axis_statements(("x",), [sure]) == []
-    said = axis_statements(("x",), [replace(sure, lag_error_percent=400.0)])
+    assert list(axis_statements(("x",), [sure])) == []
+    said = list(axis_statements(("x",), [replace(sure, lag_error_percent=400.0)]))
     assert said[-1] == "lag of x: 10 us ± 40 us"
 
 

@@ -21,7 +21,7 @@ def test_an_output_that_returns_is_told_whatever_the_unit_and_the_direction(unit
     y = sign * (np.minimum(U, 6.0) + slope * np.maximum(U - 6.0, 0.0))
     record = Record([unit * u], [y], 1e-3)
     straight = SimpleNamespace(predict=lambda one, _: sign * one.u_v / unit)
-    flags = turning_back_flags(straight, [record], [InitialState("rest")], [(0, 0)])
+    flags = list(turning_back_flags(straight, [record], [InitialState("rest")], [(0, 0)]))
     assert bool(flags) == (slope < 0.0)
 
 
@@ -31,6 +31,6 @@ def test_a_loop_rises_if_its_tips_are_half_its_range_apart(unit, rise):
     """Level about both tips; between them it reaches one end of its range."""
     y = np.interp(U, [-8.9, 0.0, 8.9], [0.0, np.sign(rise), rise])
     record = Record([unit * U], [unit * y], 1e-3, verified=True)  # level, as if it were clipped
-    flags = butterfly_flags([record], [(0, 0)])
+    flags = list(butterfly_flags([record], [(0, 0)]))
     assert bool(flags) == (abs(rise) < 0.5)
     assert all("its tips differ by only 49 % of the range" in flag for flag in flags)

@@ -512,7 +512,7 @@ def test_the_loop_that_is_drawn_is_the_settled_one_of_the_output_that_answers():
     u = np.concatenate([swing, 4.0 * np.sin(2.0 * np.pi * np.arange(400) / 100), np.zeros(200)])
     faint = 0.5 * np.random.default_rng(3).standard_normal(len(u))
     loops = loop_table(Record([0.0 * u, u], [faint, respond(u)], 5e-5))
-    drawn = chosen_loops(loops)
+    drawn = list(chosen_loops(loops))
     assert {(loop.output, loop.settled) for loop in drawn} == {("y2", True)}
     assert drawn[0].amplitude_v == pytest.approx(10.0, rel=1e-3)
 

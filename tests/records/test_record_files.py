@@ -552,8 +552,9 @@ class TestLoggers:
             file["run/volts"] = U
             file["run/both"] = np.stack([X, U], axis=1)
             file["note"] = "text"
-        (record,) = read(tmp_path / "a.h5", inputs=["run.volts"], outputs=["run.both:1"])
-        np.testing.assert_array_equal(record.y_um[0], X)
+        for inputs, outputs in ((["run.volts"], ["run.both:1"]), (["/run/volts"], ["run/both:1"])):
+            (record,) = read(tmp_path / "a.h5", inputs=inputs, outputs=outputs)
+            np.testing.assert_array_equal(record.u_v[0], U)
 
     def test_units_that_a_file_states_are_used(self, tmp_path):
         """Attributes of TDMS channels and HDF5 arrays, and a row of units in a workbook: mV, nm and ms."""

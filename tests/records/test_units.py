@@ -196,7 +196,7 @@ def test_milliseconds_taken_for_seconds_are_told_by_loops(tmp_path, capsys, fact
 
 def test_a_slow_record_of_few_samples_a_cycle_is_not_doubted():
     u = np.sin(2.0 * np.pi * 0.1 * np.arange(600) / 5.0)
-    assert doubtful_clocks([Record([u], [u], 0.2)]) == []
+    assert list(doubtful_clocks([Record([u], [u], 0.2)])) == []
 
 
 def _written(path, names, *columns):
@@ -230,14 +230,14 @@ def test_an_output_that_jumps_alone_is_doubted(tmp_path, capsys, command, jump_u
     ids=["smooth", "stepped", "coarse", "noise", "eight levels"],
 )
 def test_what_follows_a_voltage_or_is_noise_does_not_jump(u, y):
-    assert doubtful_jumps([Record([u], [y], 1e-3)]) == []
+    assert list(doubtful_jumps([Record([u], [y], 1e-3)])) == []
 
 
 def test_a_jump_counts_beside_the_output_that_moves_most():
     """A tenth of the motion may be a slip; an output that hardly moves makes it no more doubtful."""
     slipped = MOVED + 0.1 * np.ptp(MOVED) * (STEADY >= 2.5)
     for outputs in ([slipped], [slipped, 0.01 * DRIVEN]):
-        assert doubtful_jumps([Record([DRIVEN], outputs, 1e-3)]) == []
+        assert list(doubtful_jumps([Record([DRIVEN], outputs, 1e-3)])) == []
 
 
 def test_a_jump_that_is_accepted_is_fitted(tmp_path):

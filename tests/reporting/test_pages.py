@@ -195,6 +195,8 @@ def test_a_small_file_comes_along_and_a_large_one_is_linked() -> None:
 
 
 def test_markdown_of_ours_is_read_and_html_is_not() -> None:
+    option = html_of(Markdown("`run x.csv --out-a b--c`"))[0]  # in which no line ends on a telephone
+    assert option == '<p><code>run x.csv <span class="option">--out-a</span> b--c</code></p>\n'
     assert html_of(Markdown("*a* <b>"))[0] == "<p><em>a</em> &lt;b&gt;</p>\n"
     assert html_of(Markdown("{}").format("*a* <b>"))[0] == "<p>*a* &lt;b&gt;</p>\n"
 

@@ -1,5 +1,7 @@
 """Columns of a path or a drive: their unit and their axis are read, and never guessed against their names."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -112,6 +114,30 @@ def test_voltages_in_millivolts_are_played_as_such(tmp_path):
     assert np.allclose(played, wanted, rtol=0.0, atol=1e-6)
     _, values, _ = read_signal(drive_file)
     assert np.allclose(values, volts[::-1], rtol=1e-12)
+
+
+def test_a_drive_of_another_stage_is_named(tmp_path, capsys):
+    path = write(tmp_path / "path.csv", **dict(zip("xy", path_um(), strict=True)))
+    drive_file, out = tmp_path / "drive.csv", tmp_path / "played.csv"
+    assert call("compensate", "duo_bimorph_static", path, "--law", "exact_inverse", "--out", drive_file) == 0
+    for model, other in (("duo_bimorph_static", False), ("duo_bimorph", True)):
+        capsys.readouterr()
+        assert call("play", model, drive_file, "--out", out, "--overwrite") == 0
+        said = capsys.readouterr().err
+        assert ("another stage: Model duo_bimorph_static (duo_bimorph_static)" in said) == other
+
+
+def test_a_record_is_no_path(tmp_path, capsys):
+    stage = HammersteinModel.load("duo_bimorph_static")
+    named = replace(stage, inputs=("u_x", "u_y"))
+    named.save(tmp_path / "stage.json")
+    x, y = path_um()
+    record = write(tmp_path / "record.csv", u_x=x, u_y=y, x=x, y=y)
+    assert call("compensate", tmp_path / "stage.json", record, "--out", tmp_path / "no.csv") == 2
+    assert "looks like a record: it holds u_x, u_y too" in capsys.readouterr().err
+    path = write(tmp_path / "path.csv", u_x=x, x=x, y=y)  # one voltage makes no record
+    asked = ("--law", "exact_inverse", "--out", tmp_path / "drive.csv")
+    assert call("compensate", tmp_path / "stage.json", path, *asked) == 0
 
 
 def scenario(path, **more):

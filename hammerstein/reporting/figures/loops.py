@@ -251,16 +251,14 @@ def swept_label(trace: Trace, sweep: Sweep) -> str:
     return ", ".join(word.format(values[key]) for key, word in swept.items())
 
 
-def legend_labels(report: Report, traces: Sequence[Trace]) -> list[str]:
+def legend_labels(report: Report, traces: Sequence[Trace]) -> Iterator[str]:
     """Text of the legend for each trace: only what distinguishes the curves of one figure."""
     compared = len({trace.label for trace in traces}) > 1
-    labels = []
     for trace in traces:
         value = swept_label(trace, report.scenario.sweep)
         name = trace.label if compared or not value else ""
         told = value and re.search(rf"(?<![\d.]){re.escape(value)}\b", name)
-        labels.append(", ".join(word for word in (name, "" if told else value) if word))
-    return labels
+        yield ", ".join(word for word in (name, "" if told else value) if word)
 
 
 def loop_runs(report: Report, traces: Sequence[Trace], true: bool = False) -> list[LoopRun]:
@@ -383,9 +381,8 @@ def file_labels(sources: Sequence[str]) -> list[str]:
     return [f"{Path(source).parent.name}_{stem}" for source, stem in zip(sources, stems, strict=True)]
 
 
-def chosen_loops(table: Sequence[Loop]) -> list[Loop]:
+def chosen_loops(table: Sequence[Loop]) -> Iterator[Loop]:
     """One loop for each amplitude that differs by more than a tenth, of the output that answers most."""
-    chosen: list[Loop] = []
     inputs = dict.fromkeys(loop.input for loop in table)
     for name in inputs:
         direct = max((loop for loop in table if loop.input == name), key=lambda loop: loop.height_um).output
@@ -395,5 +392,4 @@ def chosen_loops(table: Sequence[Loop]) -> list[Loop]:
         for loop in own:
             if all(abs(loop.amplitude_v - other.amplitude_v) > 0.1 * other.amplitude_v for other in apart):
                 apart.append(loop)
-        chosen += apart[:MOST_AMPLITUDES]
-    return chosen
+        yield from apart[:MOST_AMPLITUDES]
