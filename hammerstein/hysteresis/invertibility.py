@@ -124,7 +124,8 @@ class Invertibility:
             return f"The model has an inverse for every reference: {proof}{turns}"
         if self.unproven:
             return f"It is not proven that the model has an inverse: {self.unproven}."
-        other = min(self.positive, self.negative)
+        counts = ((min(self.positive, self.negative), "of the other sign"), (self.singular, "zero"))
+        flaws = [f"{n} {'is' if n == 1 else 'are'} {what}" for n, what in counts if n]
         places = "; ".join(
             f"{self._name(k)} with {n} moving operator{'s' * (n != 1)} (thresholds up to {r:.4g} V)"
             + self._between(k)
@@ -133,8 +134,8 @@ class Invertibility:
         first = f"first at {places}" if places else "for example"
         slopes = "; ".join(", ".join(f"{slope:.4g}" for slope in row) for row in self.slopes_um_per_v)
         return (
-            f"The model has no inverse: of its {total} slope matrices, {other} have a determinant of "
-            f"the other sign and {self.singular} are singular, {first}: [{slopes}] um/V."
+            f"The model has no inverse: of the determinants of its {total} slope matrices, "
+            f"{' and '.join(flaws)}, {first}: [{slopes}] um/V."
         )
 
 

@@ -149,7 +149,7 @@ def test_a_model_without_inverse_is_named_where_it_fails():
 
 def test_a_singular_model_is_refused():
     model = _model([[Pair.linear(1.0), Pair.linear(2.0)], [Pair.linear(2.0), Pair.linear(4.0)]])
-    with pytest.raises(SimulationError, match="1 are singular"):
+    with pytest.raises(SimulationError, match="1 is zero"):
         ExactInverseLaw(model, 10.0)
 
 

@@ -88,7 +88,7 @@ def svg_of(figure: Figure) -> bytes:
         figure.set_dpi(POINTS_AN_INCH)  # of this file: places are asked for in its points
         figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None, "Format": None})
         boxes = {
-            "axes": _panel_boxes(figure),
+            "axes": list(_panel_boxes(figure)),
             "legend": [box for legend in figure.legends for box in _legend_boxes(legend)],
         }
         figure.set_dpi(dpi)
@@ -123,17 +123,15 @@ def _part(
     return part
 
 
-def _panel_boxes(figure: Figure) -> list[Bbox]:
+def _panel_boxes(figure: Figure) -> Iterator[Bbox]:
     """Room of each panel with its labels [pt]; those of a column begin and end alike."""
     from matplotlib.transforms import Bbox
 
     tight = [box for axes in figure.axes if (box := axes.get_tightbbox()) is not None]
     places = [axes.bbox.intervalx.round().tolist() for axes in figure.axes]
-    boxes = []
     for place, box in zip(places, tight, strict=True):
         column = Bbox.union([other for at, other in zip(places, tight, strict=True) if at == place])
-        boxes.append(Bbox.from_extents(column.x0, box.y0, column.x1, box.y1))
-    return boxes
+        yield Bbox.from_extents(column.x0, box.y0, column.x1, box.y1)
 
 
 def _legend_boxes(legend: Legend) -> Iterator[Bbox]:
