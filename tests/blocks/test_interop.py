@@ -31,6 +31,7 @@ LAWS = {
     "both": {"law": "feedback", "feedforward": "hammerstein_inverse"},
     "both, static": {"law": "feedback", "feedforward": "exact_inverse"},
 }
+QUICK = {"none", "exact", "known ahead", "feedback"}
 
 
 def _signals(wire, count=2):
@@ -53,7 +54,13 @@ def _set_up_with(options, model="duo_bimorph", seed=3):
     return setup, case, setup.laws["law"]
 
 
-@pytest.mark.parametrize("options", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize(
+    "options",
+    [
+        pytest.param(options, id=name, marks=() if name in QUICK else pytest.mark.full)
+        for name, options in LAWS.items()
+    ],
+)
 def test_compensator_and_actuator_give_the_numbers_of_simulate(options):
     """Drive, sensor, noise and seed included; the reference is known ahead as far as the law looks."""
     setup, case, law = _set_up_with(options)

@@ -377,13 +377,33 @@ WRITERS = [
         ("play", "duo_bimorph_static", "volts.csv"), "--out", "time_s,played_x_v\n# each by hand\n", id="play"
     ),
     pytest.param(("identify", "r.csv", *RECORD), "--out", '{"format": "hammerstein-model/2"}', id="identify"),
-    pytest.param(("sweep", "study.toml"), "--out", "sample,voltage,position\n1,2,3\n", id="sweep"),
-    pytest.param(("check", "small.toml"), "--junit", '<a name="hammerstein check"/>', id="junit"),
     pytest.param(
-        ("check", "small.toml"), "--markdown", "# Scenarios and their baselines\nmine", id="summary"
+        ("sweep", "study.toml"),
+        "--out",
+        "sample,voltage,position\n1,2,3\n",
+        id="sweep",
+        marks=pytest.mark.full,
     ),
     pytest.param(
-        ("check", "small.toml"), "--html", '<meta content="hammerstein check">mine', id="check page"
+        ("check", "small.toml"),
+        "--junit",
+        '<a name="hammerstein check"/>',
+        id="junit",
+        marks=pytest.mark.full,
+    ),
+    pytest.param(
+        ("check", "small.toml"),
+        "--markdown",
+        "# Scenarios and their baselines\nmine",
+        id="summary",
+        marks=pytest.mark.full,
+    ),
+    pytest.param(
+        ("check", "small.toml"),
+        "--html",
+        '<meta content="hammerstein check">mine',
+        id="check page",
+        marks=pytest.mark.full,
     ),
 ]
 

@@ -100,6 +100,7 @@ def test_records_of_a_joint_fit_go_from_rest_about_the_middle_of_the_range():
         assert 0.5 * (settled.min() + settled.max()) == pytest.approx(45.0, abs=1.5)
 
 
+@pytest.mark.full
 def test_creep_is_found_from_a_slow_record_with_a_noise_of_its_own(monkeypatch):
     noises, respond = [], Plant.respond
 

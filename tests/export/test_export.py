@@ -78,6 +78,7 @@ def test_a_sample_of_a_plane_of_relays_costs_the_same_whatever_its_grid():
 
 @needs_compiler
 @pytest.mark.parametrize("name", ["preisach model", "preisach exact_inverse"])
+@pytest.mark.full
 def test_a_staircase_of_more_turns_than_it_holds_keeps_every_bit(name):
     """A ring-down of 400 cycles, then a way through all that it left."""
     code, library = compiled(name)

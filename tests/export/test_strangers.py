@@ -222,6 +222,7 @@ def without_comments(name, text):
 
 
 @pytest.mark.parametrize("form", ["c", pytest.param("fmu", marks=pytest.mark.full)])
+@pytest.mark.full
 def test_no_text_of_a_model_is_code_in_an_export(form):
     own, plain = exported("plain", form)
     for payload in PAYLOADS:
@@ -273,6 +274,7 @@ def test_a_value_of_a_template_is_escaped_by_default(target):
             assert found.from_string("{{ evil }}").render(evil=other(payload)) == once
 
 
+@pytest.mark.full
 def test_what_is_taken_for_text_of_a_target_is_a_literal():
     """``Markdown(...)`` and its like hold words of ours alone: what comes from elsewhere is formatted in."""
     for path in PACKAGE.rglob("*.py"):

@@ -102,6 +102,7 @@ def test_command_lines(folder, times):
     assert option_case(["show", "duo_bimorph"], folder) == 0
 
 
+@pytest.mark.full
 def test_damaged_records(folder, times):
     draw, seeds = random.Random(3), records(folder)
     for i in range(4 * times):

@@ -3,6 +3,8 @@
 import runpy
 from pathlib import Path
 
+import pytest
+
 FOUND = runpy.run_path(str(Path(__file__).parents[2] / ".ci/constants.py"))
 
 TEXT = '''
@@ -33,6 +35,7 @@ def test_a_reason_is_beside_below_or_above_the_block():
     }
 
 
+@pytest.mark.full
 def test_every_constant_has_a_reason():
     found = list(FOUND["constants"]())
     assert len(found) > 100

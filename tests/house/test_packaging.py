@@ -50,6 +50,7 @@ def test_every_file_of_the_package_is_shipped_and_the_scenarios_with_their_numbe
     assert shipped == wanted
 
 
+@pytest.mark.full
 def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
     project = settings["project"]
     extras = [

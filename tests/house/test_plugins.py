@@ -452,7 +452,7 @@ def test_what_any_hysteresis_has_is_worked_out_where_a_kind_does_not_say(followe
     [
         {"law": "none"},
         {"law": "inverse_multiplicative", "iterations": 20},
-        {"law": "feedback"},
+        pytest.param({"law": "feedback"}, marks=pytest.mark.full),
         {"law": "feedback", "feedforward": "none"},
     ],
 )

@@ -156,6 +156,7 @@ def code_lines(file):
     return len({line for first, last in spans for line in range(first, last + 1)} - docstrings)
 
 
+@pytest.mark.full
 def test_the_house_does_not_grow():
     counts = [code_lines(file) for file in PACKAGE.rglob("*.py")]
     assert 20_000 < sum(counts) <= CODE_LINES
@@ -182,6 +183,7 @@ OF_THE_MODEL = {"hammerstein.compensators.drive_file", "hammerstein.model.simula
 """What a model does when a person asks it by a method: it stands on the model."""
 
 
+@pytest.mark.full
 def test_no_module_imports_what_stands_on_it():
     places = {}
     for file in PACKAGE.rglob("*.py"):
@@ -207,6 +209,7 @@ def test_a_run_to_its_report_never_climbs(calls):
     assert any(floor.get(room_of(a), 99) < floor.get(room_of(b), 0) for a, b in calls)  # it comes down
 
 
+@pytest.mark.full
 def test_a_class_name_stands_for_one_thing():
     """A private one may repeat that of another file; a public one is met outside its file."""
     places = {}
@@ -218,6 +221,7 @@ def test_a_class_name_stands_for_one_thing():
     assert {name: files for name, files in places.items() if len(files) > 1} == {}
 
 
+@pytest.mark.full
 def test_the_core_knows_no_actuator():
     """Which packaged one stands where none is named is said among the data; docstrings may show one."""
     names = set(packaged_actuators())

@@ -256,6 +256,7 @@ def measured(turns, end, seed=0, noise=0.02, law=lobed, samples=1500):
     return Record([sent], y[None], 1e-3, ("u",), ("x",), f"{turns}-{end}.csv")
 
 
+@pytest.mark.full
 def test_identified_from_records_it_follows_what_plays_cannot():
     fitted, held = [measured(3, 0.3), measured(4, 0.6, 1)], [measured(5, 0.45, 2)]
     asked = Settings(hysteresis="preisach", dynamics="none", delay_samples=0, error_curve=False)

@@ -59,6 +59,7 @@ def held_percent(fit):
     return next(trial.percent for trial in fit.trials if trial.kept)
 
 
+@pytest.mark.full
 def test_what_is_found_holds_between_the_amplitudes_of_the_records():
     """At 9 V, which no record has: a tenth of what the best linear model leaves on what was held back."""
     truth = stack()
@@ -71,6 +72,7 @@ def test_what_is_found_holds_between_the_amplitudes_of_the_records():
     assert model.dynamics.instability() == ""
 
 
+@pytest.mark.full
 def test_a_model_has_what_its_records_have_and_its_error_on_one_that_was_not_fitted():
     """Sample time and voltages of the records; the error that validation shows is the simulation's own."""
     truth, u = stack(), multisine(60, 9.0)

@@ -148,6 +148,7 @@ def test_the_command_writes_a_model_and_its_report(tmp_path, monkeypatch):
     assert "dead-zones" in Path("m_fit/report.md").read_text()
 
 
+@pytest.mark.full
 def test_a_scenario_identifies_it_through_drive_and_sensor(tmp_path):
     plays = PrandtlIshlinskii([[Pair([0.0, 0.9, 2.2, 4.1], [3.0, 0.5, 0.6, 0.9])]])
     block = Asymmetric(plays, [[DeadZones([-2.0, 3.0], [0.8, -0.9])]])
@@ -243,7 +244,7 @@ def test_a_model_that_stands_still_after_a_reversal_is_told_to_have_no_inverse()
     assert [trial.usable for trial in trials_of(*tried_on([record], stuck, free))] == [False, True]
 
 
-@pytest.mark.parametrize("kind", ["prandtl_ishlinskii", "asymmetric"])
+@pytest.mark.parametrize("kind", ["prandtl_ishlinskii", pytest.param("asymmetric", marks=pytest.mark.full)])
 def test_nothing_is_chosen_by_a_record_that_is_held_back(kind):
     """One that is late by three samples and bent: it says how far the model is off, and changes nothing."""
     stack, other = record_of(9, 1), record_of(5, 2)

@@ -236,9 +236,9 @@ def test_a_whole_stack_is_found_and_followed_at_a_frequency_between():
     [
         ("11_TwoStepSolver_{}_MnZn_HP_ferrite.mat", 3),
         ("12_Automation2018_{}_MnZn_ferrite.mat", 2),
-        ("1_isotropic_{}_MnZn_ferrite.mat", 2),
-        ("1_isotropic_{}_MnZn_ferrite.mat", 3),
-        ("2_anisotropic_{}_amorf.mat", 0),
+        pytest.param("1_isotropic_{}_MnZn_ferrite.mat", 2, marks=pytest.mark.full),
+        pytest.param("1_isotropic_{}_MnZn_ferrite.mat", 3, marks=pytest.mark.full),
+        pytest.param("2_anisotropic_{}_amorf.mat", 0, marks=pytest.mark.full),
     ],
 )
 def test_dead_zones_follow_saturation_where_plays_are_flagged(name, number):

@@ -66,7 +66,7 @@ def test_saturation_that_a_model_follows_is_no_fault_of_its_record():
 
 
 @pytest.mark.parametrize("kind", ["prandtl_ishlinskii", "asymmetric"])
-@pytest.mark.parametrize(("share", "turns"), [(0.2, False), (0.9, True)])
+@pytest.mark.parametrize(("share", "turns"), [pytest.param(0.2, False, marks=pytest.mark.full), (0.9, True)])
 def test_a_loop_that_turns_back_on_itself_is_flagged_whatever_the_kind(kind, share, turns):
     """Half a butterfly: part of the strain goes with the square of a polarisation that switches."""
     u = 1900.0 * np.sin(np.pi * np.arange(6000) / 1000)

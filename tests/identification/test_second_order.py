@@ -143,6 +143,7 @@ def test_delay_is_told_from_the_lag_of_the_axes():
     assert fit.axes[0].axis.resonance_hz == pytest.approx(280.0, rel=1e-3)
 
 
+@pytest.mark.full
 def test_a_part_of_a_sample_of_delay_is_told():
     late, parts, generator = 19, 8, np.random.default_rng(3)  # two samples and three eighths
     records = []

@@ -344,6 +344,7 @@ def test_mistakes_are_named(order: int, weighting: str, message: str) -> None:
     ("level", "limit"),
     [(100, 5.8), *(pytest.param(*more, marks=pytest.mark.long) for more in ((200, 5.1), (300, 4.7)))],
 )
+@pytest.mark.full
 def test_measured_mirror(level: int, limit: float) -> None:
     """Order 28, fitted on the training realisations, simulated in time on the test realisations."""
     if not DATA.is_dir():

@@ -26,6 +26,7 @@ def found():
     return start(fitted), start(fitted).at(numbers)
 
 
+@pytest.mark.full
 def test_the_committed_numbers_predict_a_multisine_that_was_not_fitted(found):
     begun, loop = found
     unseen = record(*UNSEEN, 8192)

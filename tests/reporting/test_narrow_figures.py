@@ -48,7 +48,9 @@ def _sweep_with_a_band(columns: int = 1) -> Figure:
 DRAWN = [_two_paths, _errors_of_three, _sweep_with_a_band, lambda: _sweep_with_a_band(3)]
 
 
-@pytest.mark.parametrize("draw", DRAWN)
+@pytest.mark.parametrize(
+    "draw", [*DRAWN[:1], *(pytest.param(one, marks=pytest.mark.full) for one in DRAWN[1:])]
+)
 def test_every_panel_and_every_entry_of_the_legend_is_a_drawing_of_its_own(
     draw: Callable[[], Figure],
 ) -> None:

@@ -159,6 +159,7 @@ def test_pages_stay_small(folder: Path, name: str) -> None:
     assert (folder / name).stat().st_size <= (3_000_000 if name in INTERACTIVE else 1_500_000)
 
 
+@pytest.mark.full
 def test_two_runs_give_the_same_pages(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In another order and folder, so that nothing counts on from page to page."""
     monkeypatch.chdir(folder)
