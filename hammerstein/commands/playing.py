@@ -22,7 +22,7 @@ from hammerstein.runtime.manifest import Owner
 from hammerstein.signals.signal_files import chosen, read_signal
 
 PLAYED = Owner("play", single=True)
-MADE_FOR = "# Model "
+MADE_FOR = "# Model "  # how a drive file of ours begins the line on its model
 EVENLY = 1e-3
 """Part of a sample time by which the time of a row may be off."""
 

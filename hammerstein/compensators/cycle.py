@@ -56,6 +56,7 @@ class Cycle:
     played_um : (p, N) position in the last of ten periods; closure_um : its difference from the period before
     run_up_v : (m, K) voltages from the start to the period, sent once before it
     first_um : (p, N) position in the first period after the run-up
+    learnt : whether a trial has corrected the drive, which then no longer brings the model to the path
     """
 
     model: HammersteinModel
@@ -77,9 +78,17 @@ class Cycle:
         return float(self.drive_v.shape[1] * self.sample_time_s)
 
     @property
+    def aim_um(self) -> Array:
+        """Where points of a table bring the model (p, N) [um]: to the path, or to what a learnt drive does.
+
+        On the path, the model would take back what a trial has corrected.
+        """
+        return self.played_um if self.learnt else self.reference_um
+
+    @property
     def error_um(self) -> Array:
-        """Position less path (p, N) in a settled period [um]."""
-        return self.played_um - self.reference_um
+        """Position less aim (p, N) in a settled period [um]."""
+        return self.played_um - self.aim_um
 
     def largest_steps_v(self) -> tuple[float, float]:
         """Largest step between samples [V]: of run-up and period, and of the period alone from the start."""
@@ -351,7 +360,7 @@ def held_least(cycle: Cycle, points: int) -> Array:
 def held_error(cycle: Cycle, table: Array, hold: int) -> Array:
     """Error (p, N) of a period [um] whose voltages (m, n) are each held over so many samples."""
     sent = np.repeat(table, hold, axis=1)
-    return np.asarray(played(cycle.model, cycle.limits, sent, cycle.sample_time_s)[0] - cycle.reference_um)
+    return np.asarray(played(cycle.model, cycle.limits, sent, cycle.sample_time_s)[0] - cycle.aim_um)
 
 
 def _periodic_response(cycle: Cycle, hold: int) -> Complex:

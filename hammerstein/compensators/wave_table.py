@@ -83,11 +83,12 @@ class WaveTable:
         """Say what the table is, what it adds to the error, and what is not known."""
         own, held, written = self.errors_um
         device = DEVICES[self.device]
+        what = "Rms change that the points make" if self.cycle.learnt else "Rms error of the position"
         said = [
             f"{device.what[0].upper()}{device.what[1:]}: {self.points} points of {self.point_s:.6g} "
             f"s, one column for each input. Number in the table = {self.scale[0]:g} x V + "
             f"{self.scale[1]:g}.",
-            f"Rms error of the position: {own:.4g} um with every sample, {held:.4g} um with points of "
+            f"{what}: {own:.4g} um with every sample, {held:.4g} um with points of "
             f"{self.point_s:.6g} s, {written:.4g} um as written."
             + (" The points were computed for the smallest second error." if self.hold > 1 else ""),
             *self.cycle.statements(),

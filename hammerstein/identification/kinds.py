@@ -14,12 +14,7 @@ from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
-from hammerstein.identification.columns import (
-    NEAR,
-    chosen_columns,
-    error_left_out,
-    few_places,
-)
+from hammerstein.identification.columns import NEAR, chosen_columns, error_left_out, few_places
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess

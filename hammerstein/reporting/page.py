@@ -98,7 +98,7 @@ def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[M
     for child in (child for token in tokens for child in token.children or () if child.type == "text"):
         child.content = unbroken(child.content.replace(" / ", "\xa0/ "))  # no line ends before the stroke
     for child in (one for token in tokens for one in (token, *(token.children or ())) if one.tag == "code"):
-        before, after = ("<pre>", "</pre>\n") if child.type == "fence" else ("", "")
+        before, after = ("", "") if child.type == "code_inline" else ("<pre>", "</pre>\n")
         words = _OPTION.sub(r'<span class="option">\g<0></span>', str(escape(child.content)))
         child.type, child.content = "html_inline", f"{before}<code>{words}</code>{after}"
     _tabulated(tokens)

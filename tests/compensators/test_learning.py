@@ -377,6 +377,14 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
     asked = ("--learn", drive, measured, "--table", "csv", "--table-points", "125", "--out", table)
     assert _call("compensate", "duo_bimorph", path, *asked) == 0
     assert len(pd.read_csv(table, comment="#")) == 125
+    again = ("--learn", first, worse)  # points of a table keep what was learnt
+    assert _call("compensate", "duo_bimorph", path, *again, "--out", tmp_path / "plain.csv") == 0
+    held = (*again, "--table", "csv", "--table-points", "125", "--out", tmp_path / "held.csv")
+    assert _call("compensate", "duo_bimorph", path, *held) == 0
+    names, tables = ["drive_x_v", "drive_y_v"], ("first.csv", "plain.csv", "held.csv")
+    before, plain, points = (pd.read_csv(tmp_path / f, comment="#")[names].to_numpy().T for f in tables)
+    by_two = plain.reshape(2, -1, 2).mean(axis=2) - points
+    assert rms(model.gain(5.0) @ by_two) < 0.1 * rms(model.gain(5.0) @ (plain - before))
     led = ("--learn", drive, measured, "--lead-in", "--out", tmp_path / "no.csv")
     assert _call("compensate", "duo_bimorph", path, *led) == 2
     assert "not for a period (--cycle, --table, --learn)" in capsys.readouterr().err
