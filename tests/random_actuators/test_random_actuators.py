@@ -42,7 +42,7 @@ def test_what_is_judged():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("seed", [0, 3, 5, 10, 11, 38, 40])
+@pytest.mark.parametrize("seed", [0, 3, 5, pytest.param(10, marks=pytest.mark.long), 11, 38, 40])
 def test_what_is_stated_of_an_actuator_is_true(seed):
     outcome = tried(seed)
     assert outcome.refused == ""
@@ -52,7 +52,9 @@ def test_what_is_stated_of_an_actuator_is_true(seed):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("seed", [39, 119, 138, 149])
+@pytest.mark.parametrize(
+    "seed", [39, *(pytest.param(seed, marks=pytest.mark.long) for seed in (119, 138, 149))]
+)
 def test_what_an_axis_took_up_of_another_law_is_in_its_errors(seed):
     """Envelopes and relays: 3.2 to 3.5 standard errors, and a low-pass that the actuator does not have."""
     assert tried(seed).missed == ()
