@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -162,6 +163,29 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
     return [m for m in mistakes if m.what != "is missing" or f"{m.where}?" not in meant]
 
 
+def with_nearest_kinds(data: Any, error: ValidationError) -> Any:
+    """A copy with the nearest known kind in each table whose kind is unknown: its other keys can be judged.
+
+    data : what was validated, as JSON holds it; error : what pydantic found
+    """
+    copy = json.loads(json.dumps(data, default=str))
+    for finding in error.errors():
+        if finding["type"] != "union_tag_invalid":
+            continue
+        node = copy
+        for part in finding["loc"]:
+            if isinstance(part, int) or part in node:  # it is not the tag of a union
+                node = node[part]
+        near = suggestion(finding["ctx"]["tag"], _tags(finding))
+        if near:
+            node[finding["ctx"]["discriminator"].strip("'")] = near.removesuffix("?").rpartition(" ")[2]
+    return copy
+
+
+def _tags(finding: Mapping[str, Any]) -> list[str]:
+    return [tag.strip(" '") for tag in finding["ctx"]["expected_tags"].split(",")]
+
+
 @contextmanager
 def mistakes_in(source: str, model: type[BaseModel] | TypeAdapter[Any]) -> Iterator[None]:
     """Let what pydantic finds in a file or a value of this model be one InputError."""
@@ -209,7 +233,7 @@ def _mistake(where: str, findings: Sequence[dict[str, Any]], schema: Schema) -> 
         return Mistake(where, "is missing")
     if kind == "union_tag_invalid":
         context = first["ctx"]
-        near = suggestion(context["tag"], [t.strip(" '") for t in context["expected_tags"].split(",")])
+        near = suggestion(context["tag"], _tags(first))
         return Mistake(where, f"{context['tag']!r} is not one of {context['expected_tags']}{near}")
     if kind == "json_invalid":
         return Mistake(where, f"is not JSON: {first['ctx']['error']}; is it the right file?")

@@ -225,7 +225,7 @@ def compare(
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     samples = sum(record.samples for record in records)
-    begun = f"comparing every kind of model on {samples} samples; long records take minutes"
+    begun = f"comparing every kind of model on {samples} samples; it takes several times as long as identify"
     with Spinner(begun) as spinner, naming("--hysteresis-in-loop", instead_of="in_loop"):
 
         def watch(what: str, done: int, total: int) -> None:

@@ -175,29 +175,30 @@ class Spinner:
 
     def __init__(self, first: str = ""):
         self.first = first
-        self.status: Any = None
+        self.bar: Any = None
         self.told_s = time.monotonic()
 
     def __enter__(self) -> Spinner:
         if sys.stderr.isatty() and not _hushed:
             from rich.console import Console
+            from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-            self.status = Console(stderr=True).status(self.first or "reading")
-            self.status.start()
+            columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self.bar.start()
+            self.task = self.bar.add_task(self.first or "reading", total=None)
         elif self.first and not _hushed:
             complain(self.first)
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.status is not None:
-            self.status.stop()
+        if self.bar is not None:
+            self.bar.stop()
 
     def tell(self, what: str) -> None:
         """Show what is being done."""
-        if self.status is not None:
-            from rich.text import Text
-
-            self.status.update(Text(clean(what)))
+        if self.bar is not None:
+            self.bar.update(self.task, description=clean(what))
         elif not _hushed and time.monotonic() - self.told_s >= EVERY_S:
             self.told_s = time.monotonic()
             complain(what)

@@ -24,6 +24,15 @@ if TYPE_CHECKING:
     from hammerstein.records.loops import Loop
 
 PLANNED = ("scenario", "part", "", "memory", "time on one processor")
+RUN = (
+    "scenario",
+    "compensator",
+    "frequency\nHz",
+    "true rms\num",
+    "true max\num",
+    "sensor\nmax um",
+    "clipped",
+)
 HELD = "valid-\nation"
 COMPARED = (
     *("", "model", "param-\neters", "fitted", HELD, "as\ngood", "in-\nverse"),
@@ -45,8 +54,8 @@ def _table(title: str, columns: Sequence[str]) -> Table:
 
 def result_table(reports: Iterable[Report]) -> Table:
     """One line for each scenario and compensator or model: what a person looks at first."""
-    columns = ("scenario", "compensator", "frequency_hz", "rms_um", "max_um", "max_true_um", "saturated")
-    table = _table("Worst error of each scenario, over its direct transfers and paths", columns)
+    title = "Worst error of each scenario: of the true position, and of the sensor's readings"
+    table = _table(title, RUN)
     for report in reports:
         for label in dict.fromkeys(row.compensator for row in report.rows):
             own = [row for row in report.rows if row.compensator == label]
@@ -72,7 +81,7 @@ def plan_table(plans: Mapping[str, Plan], jobs: int) -> Table:
 def _figures(rows: Sequence[Row]) -> list[str]:
     frequencies = sorted({row.frequency_hz for row in rows if row.frequency_hz})
     cells = [" ... ".join(f"{f:g}" for f in dict.fromkeys([*frequencies[:1], *frequencies[-1:]]))]
-    for name in ("rms_um", "max_um", "max_true_um"):
+    for name in ("rms_true_um", "max_true_um", "max_um"):
         values = [value for row in rows if (value := getattr(row, name)) is not None]
         cells.append(f"{max(values):.3f}" if values else "")
     cut = {replace(row, measured_axis="").place: int(row.saturated_samples or 0) for row in rows}

@@ -198,7 +198,9 @@ class Prediction:
 
     def statement(self, outputs: Sequence[str]) -> str:
         """Name the contributions and their rms for each output."""
-        return "Expected rms error: " + "; ".join(self._of(o, name) for o, name in enumerate(outputs)) + "."
+        exact = "" if self.converter.any() else " Converter steps are not included: the model has none."
+        each = "; ".join(self._of(o, name) for o, name in enumerate(outputs))
+        return f"Expected rms error: {each}.{exact}"
 
     def _of(self, o: int, name: str) -> str:
         parts, more = [f"path {length(float(self.path[o]), 2)}"], ""

@@ -420,9 +420,9 @@ def require_inverse(found: Invertibility, law: str, run_anyway: bool) -> None:
     """Raise SimulationError with the reason unless there is an inverse or the caller insists."""
     if not (found.invertible or run_anyway):
         raise SimulationError(
-            f"{found.statement()} {law} needs the same sign for all. Phase lag that is identified as "
-            "hysteresis causes this: identify at a lower frequency, with the linear block, or with "
-            "bounded partial sums; or set run_anyway = true."
+            f"{found.statement()} {law} needs the same sign for all. Identify another hysteresis, such as "
+            "prandtl_ishlinskii with solver = invertible. If it is a phase lag that was identified as "
+            "hysteresis, identify with dynamics or at a lower frequency. Or set run_anyway = true."
         )
 
 

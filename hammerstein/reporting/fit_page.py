@@ -195,8 +195,8 @@ def _usable(fit: Fit) -> tuple[str, str]:
 
 def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> tuple[str, str]:
     """What to do next in words, and the whole command that does it, where one does."""
-    if not fit.invertible:
-        return f"Next: {fit.invertibility}", ""
+    if not fit.invertible and asked is not None:
+        return "Next, to find a model with an inverse:", _command("compare", *asked.words)
     if fit.validation and fit.other_kinds and asked is not None:
         return "Next:", _command("compare", *asked.words)
     if fit.validation:

@@ -27,7 +27,7 @@ from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, MetricName,
 from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, Tested
 from hammerstein.scenario.variation import Study, Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference, Shape, written
-from hammerstein.validation import Strict, WithInfinity, mistakes_of
+from hammerstein.validation import Strict, WithInfinity, mistakes_of, with_nearest_kinds
 
 MOST_VALUES = 10_000  # of one key of a sweep
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=MOST_VALUES)]
@@ -343,14 +343,27 @@ def load_scenario(path: str | Path) -> Scenario:
 def _validated(data: Mapping[str, Any], source: str, folder: Path | None = None) -> Scenario:
     unknown = list(_unknown_models(data, folder or Path()))
     try:
-        # As JSON, so that a number in quotes is refused while a list still makes a tuple.
-        scenario = Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
+        scenario = _strictly(data)
     except ValidationError as error:
-        found = [Mistake(m.where, line) for m in mistakes_of(error, Scenario) for line in m.what.split("\n")]
-        told = {mistake.where for mistake in found}
-        raise InputError(source, [*found, *(m for m in unknown if m.where not in told)]) from None
+        found = {m.where: m for m in (*unknown, *_beside_kinds(data, error), *mistakes_of(error, Scenario))}
+        told = [Mistake(m.where, line) for m in found.values() for line in m.what.split("\n")]
+        raise InputError(source, told) from None
     refuse(source, unknown)
     return scenario
+
+
+def _strictly(data: Mapping[str, Any]) -> Scenario:
+    # As JSON, so that a number in quotes is refused while a list still makes a tuple.
+    return Scenario.model_validate_json(json.dumps(data, default=str), strict=True)
+
+
+def _beside_kinds(data: Mapping[str, Any], error: ValidationError) -> list[Mistake]:
+    """Mistakes in tables whose kind is misspelt, which hides them."""
+    try:
+        _strictly(with_nearest_kinds(data, error))
+    except ValidationError as other:
+        return mistakes_of(other, Scenario)
+    return []
 
 
 def _parsed(text: str, path: Path) -> dict[str, Any]:

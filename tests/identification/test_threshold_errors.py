@@ -1,11 +1,13 @@
 """Errors of fitted thresholds: those of refits with other noise, in the file, in the report and in draws."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import theory
+from scipy import stats
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
@@ -75,12 +77,31 @@ def test_errors_and_draws_are_those_of_refits():
     each = [fit for fit in fits for _ in range(4)]
     drawn = [flat(spec.draw(fit, Instruments(), n)[0].hysteresis) for n, fit in enumerate(each)]
     centred = np.subtract(drawn, [flat(fit.hysteresis) for fit in each])
-    np.testing.assert_allclose(np.sqrt(np.median(centred**2, axis=0)) / 0.6745, seen, rtol=0.3)
+    np.testing.assert_allclose(np.median(np.abs(centred), axis=0) / stats.t(4).ppf(0.75), seen, rtol=0.3)
     # What the draws would be without the thresholds: their errors are most of the errors of some weights.
     fixed = HammersteinModel("m", fits[0].hysteresis, STATIC, 4.0, ("u", "v"), ("x", "y"))
     held = np.std([flat(spec.draw(fixed, Instruments(), n)[0].hysteresis) for n in range(400)], axis=0)
     assert (held[:5] < 1e-12).all()
     assert (held[5:-1] < 0.7 * seen[5:-1]).any()
+
+
+@pytest.mark.parametrize("fitted", [True, False])
+def test_draws_of_fitted_thresholds_have_the_tails_of_student_s_t(fitted):
+    """Quantiles of t with 4 degrees of freedom; those of thresholds that were given are normal."""
+    model = refitted(1)
+    known = model.covariance if fitted else replace(model.covariance, fitted=())
+    small = replace(known, factor=1e-4 * known.factor)  # no threshold leaves its cell
+    model = replace(model, covariance=small)
+    drawn = [flat(model.drawn(np.random.default_rng(n)).hysteresis)[:5] for n in range(2000)]
+    z = np.abs(np.subtract(drawn, flat(model.hysteresis)[:5]) / small.errors)
+    law, spec = stats.t(4) if fitted else stats.norm, Uncertainty(weights="standard_errors")
+    normal = np.random.default_rng(3).standard_normal(sum(p.size for p in spec.parameters(model)))
+    own = spec.drawn(model, Instruments(), np.random.default_rng(3))[0]
+    np.testing.assert_array_equal(
+        flat(spec.of(model, Instruments(), normal)[0].hysteresis), flat(own.hysteresis)
+    )
+    for share in (0.5, 0.9, 0.98):
+        np.testing.assert_allclose(np.quantile(z, share, axis=0), law.ppf(0.5 + share / 2), rtol=0.12)
 
 
 def test_thresholds_that_are_given_differ_by_what_the_model_leaves():

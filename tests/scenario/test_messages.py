@@ -104,6 +104,27 @@ def test_a_mistake_says_where_the_key_belongs(tmp_path, old, new, where, what):
     assert what in mistakes[where]
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "wanted"),
+    [
+        (
+            'kind = "sine"\namplitude_um = 10\nfrequency_hz = 50',
+            'kind = "sime"\namplitude_um = -10\nfrequenci_hz = 50',
+            {"reference.kind", "reference.amplitude_um", "reference.frequenci_hz"},
+        ),
+        (
+            'law = "none"',
+            'law = "inverse_multiplicativ"\niteratons = 3',
+            {"compensators[2].law", "compensators[2].iteratons"},
+        ),
+        ('kind = "sine"\namplitude_um = 10', 'kind = "zzz"\namplitude_um = -10', {"reference.kind"}),
+    ],
+)
+def test_a_misspelt_kind_hides_no_other_mistake(tmp_path, old, new, wanted):
+    """The other keys of its table are judged as those of the nearest kind; where none is near, they wait."""
+    assert set(_mistakes(tmp_path, old, new)) == wanted
+
+
 def test_a_misspelt_actuator_stands_with_the_other_mistakes(tmp_path):
     path = tmp_path / "sine.toml"
     path.write_text(
