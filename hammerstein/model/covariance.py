@@ -19,11 +19,12 @@ from hammerstein.hysteresis.kind import PartFile, lower_rows, lower_triangle
 from hammerstein.quantities import Entry, NoCycles
 
 SIZED = 4
-"""Degrees of freedom of the draws where thresholds or other numbers of a hysteresis were fitted: Student's t.
+"""Degrees of freedom of the draws where all numbers of the hysteresis were fitted: Student's t.
 
-How large an error these hide is known from few numbers. Of 120 random actuators the true error scattered
-about the middle of normal draws by a factor of 1.5 more than the draws did, which is the scatter of
-sqrt(4 / chi^2) (``tests/coverage_of_bands/results.md``).
+Given thresholds leave an error in the records, and its size is known from them. How large an error fitted
+ones hide is known from few numbers: of 120 random actuators the true error scattered about the middle of
+normal draws by a factor of 1.5 more than the draws did, which is the scatter of sqrt(4 / chi^2)
+(``tests/coverage_of_bands/results.md``).
 """
 
 
@@ -67,9 +68,9 @@ class ParameterCovariance(ByValue):
         return tuple(np.hypot(own, follow) for own, follow in zip(given, moved, strict=True))
 
     def degrees(self, hysteresis: Hysteresis[Any]) -> int:
-        """Degrees of freedom of the draws, Student's t; 0 for normal ones, if no number of it was fitted."""
-        own = len(beside_weights(hysteresis, StaticDynamics(n_outputs=hysteresis.n_outputs)))
-        return SIZED if any(i < own for i in self.fitted) else 0
+        """Degrees of freedom of the draws, Student's t; 0 for normal ones, if any number of it was given."""
+        own = range(len(beside_weights(hysteresis, StaticDynamics(n_outputs=hysteresis.n_outputs))))
+        return SIZED if own and set(own) <= set(self.fitted) else 0
 
     def beside_creep(self, before: Dynamics, after: AxesDynamics) -> ParameterCovariance:
         """Give the same where slow modes, which are held, have come behind the numbers of the axes before."""
