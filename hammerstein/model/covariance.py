@@ -11,21 +11,12 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
-from hammerstein.dynamics import AxesDynamics, Axis, Dynamics, StaticDynamics
+from hammerstein.dynamics import AxesDynamics, Axis, Dynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Hysteresis, Normals
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.kind import PartFile, lower_rows, lower_triangle
 from hammerstein.quantities import Entry, NoCycles
-
-SIZED = 4
-"""Degrees of freedom of the draws where all numbers of the hysteresis were fitted: Student's t.
-
-Given thresholds leave an error in the records, and its size is known from them. How large an error fitted
-ones hide is known from few numbers: of 120 random actuators the true error scattered about the middle of
-normal draws by a factor of 1.5 more than the draws did, which is the scatter of sqrt(4 / chi^2)
-(``tests/coverage_of_bands/results.md``).
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +35,14 @@ class ParameterCovariance(ByValue):
     fitted : indices of the fitted numbers; the others were given, and their errors explain the residual of
         the records
     open : indices of fitted numbers that the records do not determine better than the neighbours do
+    degrees : degrees of freedom of the draws, Student's t; 0 for normal ones
     """
 
     factor: Array
     following: tuple[Array, ...]
     fitted: tuple[int, ...] = ()
     open: tuple[int, ...] = ()
+    degrees: int = 0
 
     def __post_init__(self) -> None:
         freeze_fields(self, "factor")
@@ -67,11 +60,6 @@ class ParameterCovariance(ByValue):
         moved = [np.linalg.norm(m @ self.factor, axis=1) for m in self.following]
         return tuple(np.hypot(own, follow) for own, follow in zip(given, moved, strict=True))
 
-    def degrees(self, hysteresis: Hysteresis[Any]) -> int:
-        """Degrees of freedom of the draws, Student's t; 0 for normal ones, if any number of it was given."""
-        own = range(len(beside_weights(hysteresis, StaticDynamics(n_outputs=hysteresis.n_outputs))))
-        return SIZED if own and set(own) <= set(self.fitted) else 0
-
     def beside_creep(self, before: Dynamics, after: AxesDynamics) -> ParameterCovariance:
         """Give the same where slow modes, which are held, have come behind the numbers of the axes before."""
         axes = before.axes if isinstance(before, AxesDynamics) else (Axis(),) * len(after.axes)
@@ -84,7 +72,7 @@ class ParameterCovariance(ByValue):
         factor = np.insert(np.insert(self.factor, at, 0.0, axis=0), at, 0.0, axis=1)
         following = tuple(np.insert(one, at, 0.0, axis=1) for one in self.following)
         fitted, open_ = (tuple(moved[list(one)].tolist()) for one in (self.fitted, self.open))
-        return ParameterCovariance(factor, following, fitted, open_)
+        return ParameterCovariance(factor, following, fitted, open_, self.degrees)
 
     def misfit(self, hysteresis: Hysteresis[Any], dynamics: Dynamics) -> str | None:
         """Why it is not that of a model; nothing where it is."""
@@ -127,8 +115,8 @@ def drawn_blocks(
     if known is None:
         return hysteresis.drawn(generator), dynamics
     normal = generator.standard_normal(len(known.factor))
-    degrees = known.degrees(hysteresis)
-    size = math.sqrt(degrees / np.sum(generator.standard_normal(degrees) ** 2)) if degrees else 1.0
+    n = known.degrees
+    size = math.sqrt(n / np.sum(generator.standard_normal(n) ** 2)) if n else 1.0
     change = size * known.factor @ normal
     each = zip(hysteresis.weights, hysteresis.drawn(generator).weights, known.following, strict=True)
     weights = [w + size * (own - w) + follow @ change for w, own, follow in each]
@@ -151,6 +139,12 @@ class ParameterCovarianceFile(PartFile):
     open: tuple[NoCycles, ...] = Field(
         default=(), description="fitted numbers that the records do not determine, counted from 0"
     )
+    degrees: int = Field(
+        default=0,
+        ge=0,
+        le=1000,
+        description="degrees of freedom of the draws, Student's t; 0 for normal ones",
+    )
 
     def value(self) -> ParameterCovariance:
         """Return the covariance this describes."""
@@ -161,4 +155,4 @@ class ParameterCovarianceFile(PartFile):
                 raise InputError("covariance", f"must have rows of {n} numbers for each output")
             following.append(np.array(matrix, dtype=float).reshape(len(matrix), n))
         factor = lower_triangle("covariance", self.factor)
-        return ParameterCovariance(factor, tuple(following), self.fitted, self.open)
+        return ParameterCovariance(factor, tuple(following), self.fitted, self.open, self.degrees)

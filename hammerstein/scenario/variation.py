@@ -145,7 +145,7 @@ class Uncertainty(Strict):
     Frequencies, dampings, creep gains and noise are multiplied by exp(s g), g standard normal, so that they
     stay positive. Each weight gets s |w| g added; or all parameters that an identification found are drawn
     together, with the factor of their joint covariance: thresholds, axes, and the weights that follow them.
-    Where thresholds were fitted, these draws follow Student's t (``covariance.SIZED``).
+    Where thresholds were fitted, these draws follow Student's t (``ParameterCovariance.degrees``).
     """
 
     draws: Draws = Field(default=50, description="number of random actuators")
@@ -196,7 +196,7 @@ class Uncertainty(Strict):
     def parameters(self, model: HammersteinModel) -> tuple[Parameter, ...]:
         """What is drawn, in this order; errors of weights that hang together are one parameter."""
         known = model.covariance if isinstance(self.weights, str) else None
-        beside = len(known.factor) + known.degrees(model.hysteresis) if known else 0
+        beside = len(known.factor) + known.degrees if known else 0
         found = [Parameter("numbers beside the weights", beside, True)] if known else []
         found += [
             Parameter(f"weights of {name}", len(weights), bool(self.weights))

@@ -89,7 +89,8 @@ def test_errors_and_draws_are_those_of_refits():
 def test_draws_of_fitted_thresholds_have_the_tails_of_student_s_t(fitted):
     """Quantiles of t with 4 degrees of freedom; those of thresholds that were given are normal."""
     model = refitted(1)
-    known = model.covariance if fitted else replace(model.covariance, fitted=())
+    assert model.covariance.degrees == 4
+    known = model.covariance if fitted else replace(model.covariance, degrees=0)
     small = replace(known, factor=1e-4 * known.factor)  # no threshold leaves its cell
     model = replace(model, covariance=small)
     drawn = [flat(model.drawn(np.random.default_rng(n)).hysteresis)[:5] for n in range(2000)]
