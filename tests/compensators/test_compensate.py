@@ -439,6 +439,10 @@ def test_what_is_expected_names_every_contribution_and_their_rms(tmp_path, capsy
     assert parts["converter_um"] == pytest.approx(0.002 / np.sqrt(12.0) * travel / 100.0, rel=0.05)
     assert parts["rest_um"] == 0.3
     assert parts["noise_um"] == 0.01
+    rows = np.genfromtxt("drive.csv", delimiter=",", names=True)
+    error_um = rows["predicted_x_um"] - rows["reference_x_um"]
+    assert parts["path_rms_um"] == pytest.approx(np.sqrt(np.mean(error_um**2)), rel=1e-6)
+    assert parts["path_max_um"] == pytest.approx(np.abs(error_um).max(), rel=1e-6)
     names = ("path_rms_um", "model_um", "rest_um", "converter_um", "noise_um")
     assert parts["rms_um"] == pytest.approx(np.sqrt(sum(parts[name] ** 2 for name in names)))
     line = next(text for text in summary["statements"] if text.startswith("Expected rms error: x "))
