@@ -167,8 +167,7 @@ def checked_delay(
         AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor or SensorModel(), every)
         for o, shape in enumerate(guess.shapes)
     ]
-    attempt = partial(refined_late, tasks)
-    best, found = best_delay(attempt, list(guess.parameters), first=delay, parts=True)
+    best, found = best_delay(partial(refined_late, tasks), list(guess.parameters), first=delay, parts=True)
     return guess if best == delay else replace(guess, parameters=tuple(found), delay_samples=best)
 
 

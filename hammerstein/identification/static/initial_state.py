@@ -114,8 +114,7 @@ def own_starts(
     """
     if mode != "auto":
         return tuple(starts)
-    each = zip(records, starts, strict=True)
-    return tuple(_own(record, start, predict, slow_s) for record, start in each)
+    return tuple(_own(record, start, predict, slow_s) for record, start in zip(records, starts, strict=True))
 
 
 def _own(
