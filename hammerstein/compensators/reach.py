@@ -118,8 +118,7 @@ def _reach_of_loop(model: HammersteinModel, limits: DriveRange) -> Reach:
     alone = 1.0 / needed.max(axis=0)
     together = alone / (needed @ alone).max()
     centre = gain @ (0.5 * (limits.low_v + limits.high_v) - limits.start_v)
-    ends = (np.stack([centre - size, centre + size], axis=1) for size in (alone, together))
-    return Reach(*ends)
+    return Reach(*(np.stack([centre - size, centre + size], axis=1) for size in (alone, together)))
 
 
 def _centre(model: HammersteinModel, limits: DriveRange) -> Array:
