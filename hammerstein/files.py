@@ -1,7 +1,5 @@
 """Reading with a limit and writing in one piece."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import itertools

@@ -5,8 +5,6 @@ model file and the settings of an identification. The limits are wide; they keep
 what would overflow further on. The unit of a number is in its name.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence

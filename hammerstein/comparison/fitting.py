@@ -1,7 +1,5 @@
 """Models of every kind from the same records, with their identification time."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence

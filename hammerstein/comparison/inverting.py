@@ -1,7 +1,5 @@
 """Compensators of compared models: invertibility, and error on another model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

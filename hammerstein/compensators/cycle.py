@@ -1,7 +1,5 @@
 """One settled period of a periodic path, which an amplifier repeats."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From a reference file to the voltages that a person can send."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

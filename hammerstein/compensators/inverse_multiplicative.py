@@ -1,7 +1,5 @@
 """The paper's compensator, which needs no inversion of the model (Theorem 4.1)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

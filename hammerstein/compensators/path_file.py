@@ -1,7 +1,5 @@
 """Paths and drives in files: samples on the drive's grid, what these cost, and the text of a drive file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

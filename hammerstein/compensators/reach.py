@@ -1,7 +1,5 @@
 """Reach of a drive range, and the part of a path beyond it."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Cases of a run that are worked out once: what was found is kept under a key of all that it depends on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """From a response to the rows of a report."""
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence

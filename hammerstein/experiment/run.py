@@ -3,8 +3,6 @@
 reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, with all signals
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A scenario run with many other values of its keys; rows go out one after the other, none is held."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """The two C files of a law, and their cost."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Invertibility of multivariable models, tested before a run."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

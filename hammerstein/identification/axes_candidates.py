@@ -1,7 +1,5 @@
 """Models with a resonance, a low-pass or creep on each axis, beside those without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Excitation of each input: whether an output responds to it, and whether its voltage turns."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Result of an identification beside the model: errors, offsets, statements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace

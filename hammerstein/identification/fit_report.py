@@ -1,7 +1,5 @@
 """Statements about an identified model, and its file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple

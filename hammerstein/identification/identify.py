@@ -1,7 +1,5 @@
 """From records to a model and an account of how far it can be trusted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps

@@ -1,7 +1,5 @@
 """Model selection by cross-validation: the simplest model that is as good as the best."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

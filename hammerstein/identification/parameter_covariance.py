@@ -21,8 +21,6 @@ is scaled, by simulated draws, until it explains the residual: a linearisation h
 They err by as much as they move beside columns of other laws; see ``misspecification``.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence

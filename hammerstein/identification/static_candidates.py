@@ -1,7 +1,5 @@
 """Models without dynamics: a linear gain, and static hysteresis with thresholds begun with or fitted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

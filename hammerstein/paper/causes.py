@@ -1,7 +1,5 @@
 """Why a claim is not met: the same figure with one factor of the chain changed at a time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

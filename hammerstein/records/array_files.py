@@ -1,7 +1,5 @@
 """Arrays in NumPy, MATLAB, HDF5, Excel and TDMS files, and how one column of them is named."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

@@ -3,8 +3,6 @@
 All functions return mistakes instead of raising them, so that one message can list all.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

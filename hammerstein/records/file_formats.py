@@ -1,7 +1,5 @@
 """Formats of files that NumPy does not read: MATLAB 4 to 7.2, workbooks of Excel, TDMS of LabVIEW."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 import zlib

@@ -4,8 +4,6 @@ A loop runs from one turning point of a voltage to the next but one. Its lines a
 which is commanded and clean, so that sensor noise opens no loop and closes none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Turning points of a voltage, and small excursions on larger branches."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

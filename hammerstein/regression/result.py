@@ -1,7 +1,5 @@
 """Result of a check, for the terminal, a summary page and CI."""
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

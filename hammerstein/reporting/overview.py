@@ -1,7 +1,5 @@
 """Overview of many reports: a page with one card for each, and a digest for the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

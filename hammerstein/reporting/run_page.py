@@ -1,7 +1,5 @@
 """The page of a run: the question, the answer, figures, numbers, and how it was run."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

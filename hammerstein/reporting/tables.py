@@ -1,7 +1,5 @@
 """The numbers of a report as compact tables for a page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 The first part of the file tells its layout; pandas then reads the columns that are wanted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import gzip

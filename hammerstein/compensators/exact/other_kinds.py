@@ -1,7 +1,5 @@
 """The exact inverses of generalised, Preisach and rate-dependent hysteresis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """For a reference that is known some samples ahead: its low-pass, and the inverse of a linear block."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The inverse of dynamics with hysteresis in their loop, in passes of linearisation, known ahead."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Identification of a model with hysteresis inside its loop, selected by cross-validation."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

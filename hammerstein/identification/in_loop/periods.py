@@ -1,7 +1,5 @@
 """Records as experiments of a search for hysteresis in a loop: settled periods, or whole from rest."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Model and fit report of a search for hysteresis in a loop."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

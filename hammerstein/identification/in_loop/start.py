@@ -1,7 +1,5 @@
 """Where a search for plays in a loop begins: linear dynamics of the records, and plays of what they move."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace

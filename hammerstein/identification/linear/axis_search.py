@@ -1,7 +1,5 @@
 """Where the search for resonance, lag, creep and delay of each axis begins."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

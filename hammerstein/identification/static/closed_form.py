@@ -1,7 +1,5 @@
 """Weights of a Prandtl-Ishlinskii model from one settled loop, in closed form (paper, appendix)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

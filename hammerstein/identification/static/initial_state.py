@@ -1,7 +1,5 @@
 """Initial state of a record: rest, a repetition of the record, or unknown."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

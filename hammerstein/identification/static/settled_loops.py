@@ -1,7 +1,5 @@
 """The paper's procedure on measured records: one settled loop of each input, then the closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
