@@ -1,7 +1,5 @@
 """Array types, read-only arrays, and the parts in which loops work through signals."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache

@@ -4,8 +4,6 @@ Numba notices a changed file, but not a changed function that a loop takes from 
 the kept loops is therefore named by all of those sources.
 """
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import multiprocessing

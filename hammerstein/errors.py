@@ -5,8 +5,6 @@ Exit codes: 0 fine, 1 a number left its tolerance, 2 a file is wrong,
 70 a fault of ours, or a process that was ended from outside.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import warnings

@@ -169,8 +169,7 @@ def _pages(package: str) -> Environment:
 
 def markdown_page(template: str, package: str = "hammerstein", **content: Any) -> Markdown:
     """Page in Markdown; no two empty lines follow each other."""
-    page = _pages(package).get_template(template).render(**content)
-    return Markdown(re.sub(r"\n{3,}", "\n\n", page))
+    return Markdown(re.sub(r"\n{3,}", "\n\n", _pages(package).get_template(template).render(**content)))
 
 
 JOINT = "\u00a0"  # a space at which no line ends

@@ -1,7 +1,5 @@
 """Reading with a limit and writing in one piece."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import itertools
@@ -118,8 +116,7 @@ def write_atomic(path: Path, content: str | bytes, private: bool = False) -> Non
     try:
         refuse_no_file(str(path), path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        prefix = f".{path.name[:100]}."
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=UNFINISHED)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=UNFINISHED)
         temporary = Path(name)
         register_cleanup(temporary, temporary.unlink)
         _write(handle, data, through=not private)

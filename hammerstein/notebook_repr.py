@@ -1,7 +1,5 @@
 """Values that show a picture of themselves in a notebook."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 Show = Callable[[object], str]

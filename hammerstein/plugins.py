@@ -83,8 +83,7 @@ class Choice:
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Choose by the tag among the kinds that are known now."""
-        kinds = self.family.kinds.items()
-        choices = {name: handler.generate_schema(self.form(kind)) for name, kind in kinds}
+        choices = {name: handler.generate_schema(self.form(kind)) for name, kind in self.family.kinds.items()}
         choices = choices or {"none": core_schema.none_schema()}  # as long as no kind has plugged in
         return core_schema.tagged_union_schema(choices, discriminator=self.family.tag)
 

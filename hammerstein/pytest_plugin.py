@@ -32,7 +32,8 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFi
     """Collect a scenario that is named on the command line, or whose folder is."""
     if file_path.suffix != ".toml" or parent.config.args_source is not pytest.Config.ArgsSource.ARGS:
         return None
-    named = _named_paths(parent.config)
+    start = parent.config.invocation_params.dir
+    named = {Path(os.path.abspath(start / arg.split("::")[0])) for arg in parent.config.args}
     wanted = file_path in named or (file_path.parent in named and _holds_scenarios(file_path.parent))
     return ScenarioFile.from_parent(parent, path=file_path) if wanted else None
 
@@ -63,12 +64,6 @@ class ScenarioItem(pytest.Item):
     def reportinfo(self) -> tuple[Path, int | None, str]:
         """Where the test is and what it is called in reports."""
         return self.path, None, f"scenario {self.name}"
-
-
-def _named_paths(config: pytest.Config) -> set[Path]:
-    """Files and folders named on the command line."""
-    start = config.invocation_params.dir
-    return {Path(os.path.abspath(start / arg.split("::")[0])) for arg in config.args}
 
 
 def _holds_scenarios(folder: Path) -> bool:

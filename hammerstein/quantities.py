@@ -5,14 +5,12 @@ model file and the settings of an identification. The limits are wide; they keep
 what would overflow further on. The unit of a number is in its name.
 """
 
-from __future__ import annotations
-
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, JsonValue
 from pydantic.json_schema import JsonSchemaValue
@@ -21,6 +19,8 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from hammerstein.escaping import clean
 
 OUT_OF_RANGE = "out_of_range"
+T = TypeVar("T")
+K = TypeVar("K")
 
 
 @dataclass(frozen=True)
@@ -288,3 +288,15 @@ def column(quantity: str, axis: str, unit: str) -> str:
     ('drive_x_v', 'position_stage_X_2_um')
     """
     return f"{quantity}_{word(axis)}_{unit}"
+
+
+def by_key(items: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
+    """Items of every key, in their order.
+
+    >>> by_key(["a1", "b1", "a2"], lambda name: name[0])
+    {'a': ['a1', 'a2'], 'b': ['b1']}
+    """
+    found: dict[K, list[T]] = {}
+    for item in items:
+        found.setdefault(key(item), []).append(item)
+    return found

@@ -1,7 +1,5 @@
 """As python-control has them: any block that moves sample by sample, and signals over time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Compiled time loops of drive and sensor: one pass over memory for what would be a dozen."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled

@@ -1,7 +1,5 @@
 """Linear systems of python-control, and limit cycles of one around a hysteresis."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

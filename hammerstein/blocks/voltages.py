@@ -35,8 +35,7 @@ class Voltages(Strict):
 
     @model_validator(mode="after")
     def _is_ordered(self) -> Self:
-        sizes = {len(getattr(self, name)) for name in type(self).model_fields}
-        if len(sizes) != 1:
+        if len({len(getattr(self, name)) for name in type(self).model_fields}) != 1:
             raise ValueError("give as many working points, lowest and highest voltages and signs of poling")
         if any(low >= high for low, high in zip(self.lowest_v, self.highest_v, strict=True)):
             raise ValueError("lowest_v must lie below highest_v")
@@ -52,8 +51,7 @@ class Voltages(Strict):
         names = ("working_point_v", "lowest_v", "highest_v")
         given = dict(zip(names, (working_point_v, lowest_v, highest_v), strict=True))
         values = {name: tuple(np.asarray(v, dtype=np.float64).tolist()) for name, v in given.items()}
-        signs = map(_poling, values["lowest_v"], values["highest_v"])
-        return cls(**values, poling=tuple(signs))
+        return cls(**values, poling=tuple(map(_poling, values["lowest_v"], values["highest_v"])))
 
     @classmethod
     def symmetric(cls, amplitude_v: float, inputs: int) -> Voltages:

@@ -1,7 +1,5 @@
 """The command line. Its output goes through ``terminal``."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """What a file holds, whatever it is of ours: known by its content, not by its name."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

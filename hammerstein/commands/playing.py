@@ -1,7 +1,5 @@
 """Voltages of a file, played on a model."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from dataclasses import dataclass

@@ -93,7 +93,9 @@ def loops(
         for lost in record.outliers:
             complain(f"{record.source}: excluded outliers of {lost.column}: {lost.describe()}")
     if as_json:
-        tell_json({"loops": _plain(found)})
+        each = [(file, one) for file, own in found.items() for one in own]
+        plain = [{"file": file, **asdict(one), "width_percent": one.width_percent} for file, one in each]
+        tell_json({"loops": plain})
     else:
         show(gains_table(gains))
         if len(empty) < len(records):
@@ -104,15 +106,6 @@ def loops(
         figure = loops_of_records(records, [found[record.source] for record in records])
         for path in save_figures({"loops": figure} if figure else {}, folder, LOOPS, overwrite):
             (complain if as_json else tell)(str(path))
-
-
-def _plain(found: Mapping[str, Sequence[Loop]]) -> list[dict[str, Any]]:
-    """The loops of each file as plain JSON."""
-    return [
-        {"file": source, **asdict(loop), "width_percent": loop.width_percent}
-        for source, loops_found in found.items()
-        for loop in loops_found
-    ]
 
 
 def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
@@ -158,8 +151,7 @@ def identify(
     in_loop.refuse_unused([*words_of(identified), *words_of(static)])
     folder = report or out.parent / f"{out.stem}_fit"
     prepare_folder("--report", folder, FIT, ALWAYS, overwrite)
-    groups = (recorded, held, identified, static, in_loop)
-    words = [word for group in groups for word in words_of(group)]
+    words = [word for group in (recorded, held, identified, static, in_loop) for word in words_of(group)]
     asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)

@@ -1,7 +1,5 @@
 """Commands for a person who begins: a working folder, what a file holds, the guide."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """Every kind of hysteresis and the linear models on the same records: which one to take."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

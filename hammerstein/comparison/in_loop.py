@@ -1,7 +1,5 @@
 """Hysteresis in the loop as one more candidate, judged on experiments that it was not fitted to."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

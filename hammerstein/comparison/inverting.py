@@ -1,7 +1,5 @@
 """Compensators of compared models: invertibility, and error on another model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -102,8 +100,7 @@ def _played(
     part = record.part(0, min(record.samples, MOST_SAMPLES))
     sample_time_s = part.sample_time_s
     first = int(SETTLING * part.samples)
-    sent = part.u_v + part.rest_v[:, None]
-    path = other.simulate(sent, sample_time_s).position_um
+    path = other.simulate(part.u_v + part.rest_v[:, None], sample_time_s).position_um
     law: Law[Any] = options.design(model, _range(model), sample_time_s)  # type: ignore[assignment]  # none of them is a controller
     drive = law.drive_for(path)
     error = (other.simulate(drive, sample_time_s).position_um - path)[:, first:]

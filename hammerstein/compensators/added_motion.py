@@ -1,7 +1,5 @@
 """Motion that is added to a path: from the initial position to its start, and to every hold from one side."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -150,8 +150,7 @@ def inverse_pair(pair: Pair, axis: str = "pair") -> Pair:
             "identify at a lower frequency, or with bounded partial sums."
         )
     thresholds = np.array([w[: j + 1] @ (r[j] - r[: j + 1]) for j in range(len(r))])
-    weights = np.concatenate([[1.0 / w[0]], -w[1:] / (s[1:] * s[:-1])])
-    return Pair(thresholds, weights)
+    return Pair(thresholds, np.concatenate([[1.0 / w[0]], -w[1:] / (s[1:] * s[:-1])]))
 
 
 class DecoupledInverseLaw(Law[InverseState]):

@@ -1,7 +1,5 @@
 """One settled period of a periodic path, which an amplifier repeats."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -119,8 +117,7 @@ class Cycle:
 
     def run_up_csv(self) -> str:
         """Text of the file of the run-up: times end where the period begins."""
-        samples = self.run_up_v.shape[1]
-        time_s = np.arange(-samples, 0, dtype=np.float64) * self.sample_time_s
+        time_s = np.arange(-self.run_up_v.shape[1], 0, dtype=np.float64) * self.sample_time_s
         said = ["Run-up: send it once, then repeat the period. Absolute voltages in V.", *self.statements()]
         return drive_csv(time_s, (("drive", "v", self.model.inputs, self.run_up_v),), said)
 
@@ -298,16 +295,6 @@ def _middle(error_um: Array) -> Array:
     return np.asarray(error_um.mean(axis=1, keepdims=True))
 
 
-def played(
-    model: HammersteinModel, limits: DriveRange, drive_v: Array, sample_time_s: float
-) -> tuple[Array, float]:
-    """Position (p, N) [um] in the last of ten periods, and its largest change from the one before [um].
-
-    Positions are relative to the start. The actuator is at rest at its start before the run-up.
-    """
-    return settled_position(player(model, limits, sample_time_s), drive_v, limits.start_v, sample_time_s)
-
-
 def settled_position(
     play: Callable[[Array], Array], drive_v: Array, start_v: Array, sample_time_s: float
 ) -> tuple[Array, float]:
@@ -359,8 +346,9 @@ def held_least(cycle: Cycle, points: int) -> Array:
 
 def held_error(cycle: Cycle, table: Array, hold: int) -> Array:
     """Error (p, N) of a period [um] whose voltages (m, n) are each held over so many samples."""
-    sent = np.repeat(table, hold, axis=1)
-    return np.asarray(played(cycle.model, cycle.limits, sent, cycle.sample_time_s)[0] - cycle.aim_um)
+    sent, play = np.repeat(table, hold, axis=1), player(cycle.model, cycle.limits, cycle.sample_time_s)
+    position, _ = settled_position(play, sent, cycle.limits.start_v, cycle.sample_time_s)
+    return np.asarray(position - cycle.aim_um)
 
 
 def _periodic_response(cycle: Cycle, hold: int) -> Complex:

@@ -1,7 +1,5 @@
 """Drive that erases the history of hysteresis: a decaying alternation about the middle of the range."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

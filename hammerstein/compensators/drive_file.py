@@ -1,7 +1,5 @@
 """From a reference file to the voltages that a person can send."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -306,7 +304,10 @@ def compensation_of(
     refuse_flagged(model, called, terms)
     limits = allowed_range(model, terms)
     time_step = model.instruments.drive.sample_time_s
-    path, approach = _asked_path(model, checked_reference(reference_um, len(model.outputs)), terms)
+    path, approach = moved(checked_reference(reference_um, len(model.outputs)), terms.offset_um), ""
+    if terms.approach_um is not None:
+        detours = approached(path, terms.approach_um, time_step)
+        path, approach = detours.path_um, detours.statement(model.outputs)
     before = lead_in(path, time_step) if terms.lead_in else path[:, :0]
     compensator = compensator_of(law, options)
     found = Attempt.of(model, limits, compensator, np.hstack([before, path]), before.shape[1])
@@ -317,8 +318,7 @@ def compensation_of(
     )
     reachable = reach(model, limits, run_anyway=True)
     if not (terms.clip or held or found.predicted.complete):
-        moved_already = terms.offset_um is not None
-        missed = Missed(model, limits, compensator, path, found, own, reachable, moved_already)
+        missed = Missed(model, limits, compensator, path, found, own, reachable, terms.offset_um is not None)
         raise SimulationError(
             f"out of reach: {missed.statement()}\n{reachable.statement(model.outputs)} These positions count "
             f"from the initial one (--start), with {limits.words(model.inputs)} (--range)."
@@ -327,15 +327,6 @@ def compensation_of(
         refuse_beyond(model, found.drive_v)
     time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
     return Compensation(model, found, prediction, reachable, time_s, "", called, held, approach)
-
-
-def _asked_path(model: HammersteinModel, path_um: Array, terms: Terms) -> tuple[Array, str]:
-    """Path (p, N) with its offset and its detours [um], and statements on them."""
-    path = moved(path_um, terms.offset_um)
-    if terms.approach_um is None:
-        return path, ""
-    found = approached(path, terms.approach_um, model.instruments.drive.sample_time_s)
-    return found.path_um, found.statement(model.outputs)
 
 
 def moved(path_um: Array, offset_um: tuple[float, ...] | None) -> Array:
@@ -367,8 +358,7 @@ def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
     Raises InputError for a range or a start that does not fit the model.
     """
     m = len(model.inputs)
-    recorded = np.array([model.recorded.lowest_v, model.recorded.highest_v])
-    low, high = recorded
+    low, high = np.array([model.recorded.lowest_v, model.recorded.highest_v])
     if terms.range_v is not None:
         low, high = _asked_range(model, terms.range_v, m)
     own = model.instruments.drive.limits(m)

@@ -1,7 +1,5 @@
 """The paper's compensator, which needs no inversion of the model (Theorem 4.1)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -122,8 +120,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         self.pole = 0.0 if filter_s is None or pass_s is None else math.exp(-pass_s / filter_s)
         slopes = slope_matrices(hysteresis, model.amplitude_v)
         self.gain_v_per_um = _gain_matrix(gain, hysteresis, model.amplitude_v, slopes)
-        found = convergence(slopes, self.gain_v_per_um, self.pole)
-        self.convergence = replace(found, pass_s=pass_s)
+        self.convergence = replace(convergence(slopes, self.gain_v_per_um, self.pole), pass_s=pass_s)
         if not (self.convergence.converges or run_anyway):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
 

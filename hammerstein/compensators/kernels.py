@@ -1,7 +1,5 @@
 """Compiled time loops of the compensators."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled, helper

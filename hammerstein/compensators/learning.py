@@ -14,7 +14,7 @@ from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law, Learner
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators import COMPENSATORS, Compensator
-from hammerstein.compensators.cycle import Cycle, Design, centred, design_of, played
+from hammerstein.compensators.cycle import Cycle, Design, centred, design_of, player, settled_position
 from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
 from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearised
@@ -211,7 +211,7 @@ def ilc_update(
     above_noise = (np.abs(error * lag) > _least_error(deviation, freedom)) & (share > 0.0)
     drive = drive_v
     if above_noise.any():
-        now, _ = played(model, law.range, drive_v, time_s)
+        now, _ = settled_position(player(model, law.range, time_s), drive_v, law.range.start_v, time_s)
         change = np.fft.irfft(np.where(above_noise, share * error, 0.0), samples, axis=1)
         drive = centred(law, model, now + change)
     slowest = float((1.0 - share[above_noise] * (1.0 - delta[above_noise])).max(initial=0.0))

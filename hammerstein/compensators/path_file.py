@@ -1,7 +1,5 @@
 """Paths and drives in files: samples on the drive's grid, what these cost, and the text of a drive file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -71,8 +69,7 @@ def _refuse_doubtful(path: Path, bare: Sequence[str], values: Array, model: Hamm
     travel, asked = travel_um(model), float(np.abs(values).max())
     if travel is None or asked == 0.0:
         return
-    share = asked / float(travel.max())
-    if not LEAST_SHARE <= share <= MOST_SHARE:
+    if not LEAST_SHARE <= asked / float(travel.max()) <= MOST_SHARE:
         raise InputError(
             str(path),
             f"{', '.join(bare)} {('has' if len(bare) == 1 else 'have')} no unit; in um the path goes "

@@ -1,7 +1,5 @@
 """Reach of a drive range, and the part of a path beyond it."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -118,8 +116,7 @@ def _reach_of_loop(model: HammersteinModel, limits: DriveRange) -> Reach:
     alone = 1.0 / needed.max(axis=0)
     together = alone / (needed @ alone).max()
     centre = gain @ (0.5 * (limits.low_v + limits.high_v) - limits.start_v)
-    ends = (np.stack([centre - size, centre + size], axis=1) for size in (alone, together))
-    return Reach(*ends)
+    return Reach(*(np.stack([centre - size, centre + size], axis=1) for size in (alone, together)))
 
 
 def _centre(model: HammersteinModel, limits: DriveRange) -> Array:

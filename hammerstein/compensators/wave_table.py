@@ -11,8 +11,6 @@ Sources of formats and limits:
 No device was at hand: what one does with a table was not tried.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,52 +1,26 @@
 """Dynamics of the actuator, linear or with hysteresis in the loop, and their exact discretisation."""
 
-from hammerstein.dynamics.feedback_block import FeedbackBlock
+from hammerstein.dynamics.feedback_block import FeedbackBlock as FeedbackBlock
 from hammerstein.dynamics.feedback_hysteresis import (
-    ElastoSlip,
-    ElectromechanicalDynamics,
-    FeedbackHysteresisDynamics,
-    StackAxis,
+    ElastoSlip as ElastoSlip,
+    ElectromechanicalDynamics as ElectromechanicalDynamics,
+    FeedbackHysteresisDynamics as FeedbackHysteresisDynamics,
+    StackAxis as StackAxis,
 )
-from hammerstein.dynamics.linear_block import LinearBlock, low_pass
+from hammerstein.dynamics.linear_block import LinearBlock as LinearBlock
 from hammerstein.dynamics.models import (
-    AxesDynamics,
-    Axis,
-    CreepMode,
-    Dynamics,
-    StateSpaceDynamics,
-    StaticDynamics,
-    WithLoop,
-    cantilever,
-    creep,
-    discretise,
-    linear,
-    linearised,
-    natural_frequency_hz,
-    on_grid,
-    split_delay,
+    AxesDynamics as AxesDynamics,
+    Axis as Axis,
+    CreepMode as CreepMode,
+    Dynamics as Dynamics,
+    StateSpaceDynamics as StateSpaceDynamics,
+    StaticDynamics as StaticDynamics,
+    WithLoop as WithLoop,
+    cantilever as cantilever,
+    discretise as discretise,
+    linear as linear,
+    linearised as linearised,
+    natural_frequency_hz as natural_frequency_hz,
+    on_grid as on_grid,
+    split_delay as split_delay,
 )
-
-__all__ = [
-    "AxesDynamics",
-    "Axis",
-    "CreepMode",
-    "Dynamics",
-    "ElastoSlip",
-    "ElectromechanicalDynamics",
-    "FeedbackBlock",
-    "FeedbackHysteresisDynamics",
-    "LinearBlock",
-    "StackAxis",
-    "StateSpaceDynamics",
-    "StaticDynamics",
-    "WithLoop",
-    "cantilever",
-    "creep",
-    "discretise",
-    "linear",
-    "linearised",
-    "low_pass",
-    "natural_frequency_hz",
-    "on_grid",
-    "split_delay",
-]

@@ -189,8 +189,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
         All z turn together; their sizes are those that the loop itself gives them.
         """
-        ends = [0.5 * (self._slow_loop(end)[1] - self._slow_loop(-end)[1]) for end in u.T]
-        return np.stack(ends, axis=1)
+        return np.stack([0.5 * (self._slow_loop(end)[1] - self._slow_loop(-end)[1]) for end in u.T], axis=1)
 
     def _slow_loop(self, u: Array) -> tuple[Array, Array]:
         """Gain (q, h) of Gamma in a slow settled loop, and outputs (p,) at its end, where inputs are u."""

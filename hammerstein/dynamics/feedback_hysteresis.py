@@ -138,8 +138,7 @@ class FeedbackHysteresisDynamics(MatrixForm):
         if self.allow_unstable or not self.A:
             return ""
         poles = np.linalg.eigvals(block.linearised(FAR_V).A)
-        continuous = self.sample_time_s is None
-        worst = float(poles.real.max() if continuous else np.abs(poles).max() - 1.0)
+        worst = float(poles.real.max() if self.sample_time_s is None else np.abs(poles).max() - 1.0)
         if worst < 0.0:
             return ""
         return (

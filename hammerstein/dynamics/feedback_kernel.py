@@ -1,7 +1,5 @@
 """Compiled time loop of plays in the loop of a linear block."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled

@@ -223,8 +223,7 @@ class LinearBlock(SteppedBlock, ByValue):
         n, s = self.A.shape[0], sensor.A.shape[0]
         a = np.block([[self.A, np.zeros((n, s))], [sensor.B @ self.C, sensor.A]])
         b = np.vstack([self.B, sensor.B @ self.D])
-        p = self.n_outputs
-        c = np.block([[self.C, np.zeros((p, s))], [sensor.D @ self.C, sensor.C]])
+        c = np.block([[self.C, np.zeros((self.n_outputs, s))], [sensor.D @ self.C, sensor.C]])
         return LinearBlock(a, b, c, np.vstack([self.D, sensor.D @ self.D]), self.sample_time_s)
 
     def delayed(self, samples: int) -> LinearBlock:

@@ -420,8 +420,7 @@ def _gridded(block: B, delay_s: float, sample_time_s: float, sensor_bandwidth_hz
                 f"{interval(sample_time_s)}, the sample time of this block; round it",
             )
         if sensor_bandwidth_hz is not None:
-            sensor = low_pass(sensor_bandwidth_hz, block.n_outputs)
-            block = block.observed_by(sensor.held(sample_time_s))
+            block = block.observed_by(low_pass(sensor_bandwidth_hz, block.n_outputs).held(sample_time_s))
     else:
         if sensor_bandwidth_hz is not None:
             block = block.observed_by(low_pass(sensor_bandwidth_hz, block.n_outputs))

@@ -1,7 +1,5 @@
 """Compiled time loops of many copies of one linear path, and of several paths."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled, helper

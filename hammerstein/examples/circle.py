@@ -1,7 +1,5 @@
 """A circle: what does each compensator leave of the error?"""
 
-from __future__ import annotations
-
 from matplotlib.figure import Figure
 
 import hammerstein

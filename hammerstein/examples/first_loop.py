@@ -1,7 +1,5 @@
 """The first loop: how far does an actuator go, and how wide is its loop?"""
 
-from __future__ import annotations
-
 from matplotlib.figure import Figure
 
 import hammerstein

@@ -1,7 +1,5 @@
 """A resonance that moves with the amplitude: one model for every level, and a path that it follows."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 

@@ -1,7 +1,5 @@
 """From CSV files to a model: ``hammerstein init`` has made record_x.csv and record_y.csv."""
 
-from __future__ import annotations
-
 from matplotlib.figure import Figure
 
 import hammerstein

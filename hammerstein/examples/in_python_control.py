@@ -1,7 +1,5 @@
 """An actuator of one's own in python-control: inverse and actuator as one system."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """When does a loop with integral control begin to swing? The describing function answers."""
 
-from __future__ import annotations
-
 import control
 import numpy as np
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """How sure is an error? Actuators are drawn whose parameters differ from those of the model."""
 
-from __future__ import annotations
-
 from matplotlib.figure import Figure
 
 import hammerstein

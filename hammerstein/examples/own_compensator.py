@@ -1,7 +1,5 @@
 """A compensator of one's own: the exact inverse of a model whose gain is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """A raster scan with flyback, plane by plane: triangles on x, steps on y, the error at every plane."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 

@@ -3,8 +3,6 @@
 The device is simulated; put your own ``write`` in its place. Run: ``python -m hammerstein.examples.stream``.
 """
 
-from __future__ import annotations
-
 import gc
 import time
 

@@ -1,7 +1,5 @@
 """Cases of a run that are worked out once: what was found is kept under a key of all that it depends on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -64,11 +62,12 @@ class CaseCache:
             self.store.write(self._key(case, kind, more), entry)
 
     def _key(self, case: Case, kind: str, more: Any) -> str:
-        setup = self.setup
+        setup, signal = self.setup, case.signal
         labels = [case.label] if case.label else list(setup.models)
+        file = [digest_of_file(Path(signal.path))] if isinstance(signal, FromFile) else []
         content = {
             "common": self._common,
-            "signal": _signal(case),
+            "signal": [signal.model_dump_json(exclude={"path"} if file else None), *file],
             "noise": case.seed(setup.scenario.seed),
             "axis": case.axis,
             "trial": case.trial,
@@ -100,14 +99,6 @@ class CaseCache:
             label: digest_of([options.get(label), limits.get(label), model.to_json()])
             for label, model in models.items()
         }
-
-
-def _signal(case: Case) -> list[Any]:
-    """Everything in a signal, what its file holds included."""
-    signal = case.signal
-    if not isinstance(signal, FromFile):
-        return [signal.model_dump_json()]
-    return [signal.model_dump_json(exclude={"path"}), digest_of_file(Path(signal.path))]
 
 
 def _packed(result: Result) -> Kept:

@@ -1,7 +1,5 @@
 """A run repeated on many actuators: pieces of them side by side, each kept, memory that of the figures."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From a response to the rows of a report."""
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -90,15 +88,10 @@ def _prediction(
 def _joined(parts: Sequence[Target | None]) -> Target | None:
     """Put the parts of one target together."""
     known = [part for part in parts if part is not None]
-    if not known:
-        return None
-    reading, position = (
-        np.concatenate([getattr(part, name) for part in known], axis=1)
-        if len(known) > 1
-        else getattr(known[0], name)
-        for name in ("reading_um", "position_um")
-    )
-    return Target(known[0].label, reading, position)
+    if len(known) < 2:
+        return known[0] if known else None
+    reading = np.concatenate([part.reading_um for part in known], axis=1)
+    return Target(known[0].label, reading, np.concatenate([part.position_um for part in known], axis=1))
 
 
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
@@ -266,6 +259,10 @@ def _rows(
     first = Window.of(setup.scenario, case.signal, response.sample_time_s).first
     axes, key, wanted = setup.plant.model.outputs, _key(setup, case), list(wanted)
     path = response.reference_um if case.axis is None else None
+    middle = None if path is None else case.signal.middle(len(path), np.zeros(len(path)))
+    samples = case.signal.period_s / response.sample_time_s
+    several = case.signal.repeats and setup.scenario.measure.measured_cycles > 1
+    whole = round(samples) if several and abs(samples - round(samples)) < 1e-6 else None
     for target in targets:
         measured = Measured(
             response.sample_time_s,
@@ -275,23 +272,15 @@ def _rows(
             None if target is None else target.reading_um[:, first:],
             None if target is None else target.position_um[:, first:],
             None if path is None else path[:, first:],
-            _whole_cycle(setup, case, response.sample_time_s),
+            whole,
             loops,
-            _middle(case, response),
+            middle,
         )
         label = case.label if target is None else target.label
         found = {metric.name: metric.values(measured) for metric in wanted}
         for i, axis in enumerate(axes):
             figures = {name: value for name, values in found.items() if (value := values[i]) is not None}
             yield Row(compensator=label, measured_axis=axis, **key, figures=figures)
-
-
-def _middle(case: Case, response: Response) -> Array | None:
-    """Middle (output,) of a path of all axes together [um]."""
-    if response.reference_um is None or case.axis is not None:
-        return None
-    outputs = len(response.reference_um)
-    return case.signal.middle(outputs, np.zeros(outputs))
 
 
 def _key(setup: SetUp, case: Case) -> dict[str, Any]:
@@ -315,14 +304,6 @@ def empty_rows_of(setup: SetUp, case: Case) -> list[Row]:
         for label in ([case.label] if case.label else labels)
         for axis in setup.plant.model.outputs
     ]
-
-
-def _whole_cycle(setup: SetUp, case: Case, sample_time_s: float) -> int | None:
-    """Samples of a cycle, where several equal ones of a whole number of samples are measured."""
-    samples = case.signal.period_s / sample_time_s
-    whole = abs(samples - round(samples)) < 1e-6
-    several = case.signal.repeats and setup.scenario.measure.measured_cycles > 1
-    return round(samples) if whole and several else None
 
 
 def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list[LoopFigures] | None:
@@ -359,17 +340,6 @@ def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
         f"The sensor {why}: with {row.compensator!r}{row.at}, the rms error on {row.measured_axis} is "
         f"{length(reading)} um for its reading, but {length(true)} um for the true position. Judge a "
         "compensator by the true position."
-    ]
-
-
-def _flagged(setup: SetUp) -> list[str]:
-    """State the flags in the fit reports of the models, and of the simulated actuator."""
-    models = {**setup.models, SIMULATED: setup.plant.model}
-    verdicts = {label: model.verdict for label, model in models.items()}
-    return [
-        f"{label}: {FLAGGED}: {'; '.join(verdict.statements) or 'see there'}."
-        for label, verdict in verdicts.items()
-        if verdict is not None and verdict.flagged
     ]
 
 
@@ -445,7 +415,13 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         for label in setup.laws
         if setup.models[label].digest() == plant.digest()
     ]
-    statements += _flagged(setup)
+    models = {**setup.models, SIMULATED: plant}
+    verdicts = {label: model.verdict for label, model in models.items()}
+    statements += [  # the flags in the fit reports of the models, and of the simulated actuator
+        f"{label}: {FLAGGED}: {'; '.join(verdict.statements) or 'see there'}."
+        for label, verdict in verdicts.items()
+        if verdict is not None and verdict.flagged
+    ]
     statements += _far_from_home(setup, results)
     statements += _sampling(setup)
     statements += _sensor_lag(setup, [row for result in results for row in result.rows])

@@ -31,7 +31,7 @@ from hammerstein.model.simulation import Plant
 from hammerstein.quantities import duration, size
 from hammerstein.runtime.resources import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, TestedCompensator
+from hammerstein.scenario.source import ClosedFormSpec, TestedCompensator
 from hammerstein.scenario.variation import Uncertainty
 
 # Of a two-axis actuator, on a processor that takes REFERENCE_S for what ``slowness`` lets it do.
@@ -220,19 +220,14 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             keys = "its measured_cycles or settle_cycles, or raise frequency_hz"
             yield Part(words, needed, seconds, keys, once)
         else:
-            yield replace(_joint_fit(spec, label, m, p, step), once=once)
-
-
-def _joint_fit(spec: JointFitSpec, label: str, m: int, p: int, step: float) -> Part:
-    samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
-    operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators
-    fitted = samples * (BYTES_A_FITTED_SAMPLE + BYTES_A_REGRESSOR * operators)
-    return Part(
-        f"the identification of {label!r} from {samples:.3g} samples",
-        COPIES * run_bytes(samples, m, p) + fitted,
-        SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * operators / 15.0,
-        "its record_s or the number of frequencies_hz, or raise sample_time_s",
-    )
+            samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
+            operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators
+            fitted = samples * (BYTES_A_FITTED_SAMPLE + BYTES_A_REGRESSOR * operators)
+            words = f"the identification of {label!r} from {samples:.3g} samples"
+            needed = COPIES * run_bytes(samples, m, p) + fitted
+            seconds = SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * operators / 15.0
+            keys = "its record_s or the number of frequencies_hz, or raise sample_time_s"
+            yield Part(words, needed, seconds, keys, once)
 
 
 def _runs(scenario: Scenario, plant: Plant, jobs: int, timed: bool) -> Iterator[Part]:
@@ -302,7 +297,10 @@ def _on_drawn(
 
 def _work(compensator: TestedCompensator, plant: Plant) -> float:
     """Time [s] a sample of a law that works more on each than others."""
-    kind = _kind(compensator)
+    spec = compensator.identification  # the requested kind of hysteresis if it is not yet identified
+    kind = getattr(spec, "hysteresis", None) or PrandtlIshlinskii.kind
+    if spec is None:
+        kind = loaded(str(compensator.model)).hysteresis.kind
     if isinstance(compensator, InverseMultiplicative):
         a_pass = SECONDS_A_PASS if kind == PrandtlIshlinskii.kind else SECONDS_A_STEPPED_PASS
         return a_pass * compensator.iterations
@@ -340,10 +338,3 @@ def _trial_of(compensator: TestedCompensator, plant: Plant) -> float:
         else:
             law.drive_for(path_um)
     return time.perf_counter() - begun
-
-
-def _kind(source: ModelSource) -> str:
-    """Kind of the hysteresis of a model; the requested kind if it is not yet identified."""
-    if source.identification is None:
-        return loaded(str(source.model)).hysteresis.kind
-    return getattr(source.identification, "hysteresis", None) or PrandtlIshlinskii.kind

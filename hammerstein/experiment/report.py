@@ -225,14 +225,6 @@ class Condition:
         return ", ".join(frequency + amplitude + ([] if self.trial is None else [f"trial {self.trial}"]))
 
 
-def by_condition(rows: Iterable[Row]) -> dict[Condition, list[Row]]:
-    """Rows of every condition, in the order of the report."""
-    found: dict[Condition, list[Row]] = {}
-    for row in rows:
-        found.setdefault(Condition.of(row), []).append(row)
-    return found
-
-
 PARTS = ("frequency_hz", "amplitude", "trial")
 """Of a condition."""
 

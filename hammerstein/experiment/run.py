@@ -3,8 +3,6 @@
 reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, with all signals
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
@@ -122,8 +120,7 @@ def _chosen(
     for case in setup.cases():
         right_axis = excited_axis is None or setup.excited_axis(case) in ("all", excited_axis)
         if right_axis and (compensator is None or case.label == compensator):
-            here = scenario.positions().get(case.signal, 1), case.position[1]
-            return setup, replace(case, position=here)
+            return setup, replace(case, position=(scenario.positions().get(case.signal, 1), case.position[1]))
     raise InputError("simulate", f"the scenario has no case {compensator!r} on axis {excited_axis!r}")
 
 

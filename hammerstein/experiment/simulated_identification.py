@@ -270,8 +270,7 @@ def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[in
         grown = ramp * waves if away else waves  # on the way to the middle, full waves would leave the range
         blocks.append(np.concatenate([np.zeros(REST_SAMPLES), grown + away * ramp]))
     one, m = blocks[0], len(blocks)
-    voltage = drive.rest_v[:, None] + block_diag(*blocks)
-    response = plant.respond(voltage, [*seeds, 1])
+    response = plant.respond(drive.rest_v[:, None] + block_diag(*blocks), [*seeds, 1])
     parts = [slice(k * len(one) + REST_SAMPLES, (k + 1) * len(one)) for k in range(m)]
     return [
         Record(

@@ -1,7 +1,5 @@
 """A scenario run with many other values of its keys; rows go out one after the other, none is held."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -132,8 +130,7 @@ def plan_of_study(scenario: Scenario, name: str) -> Plan:
     longest_s = max(run + once for run, once, _ in (*some, *ends))
     largest = max(held for *_, held in (*some, *ends))
     seconds = max(count * run_s + identified * once_s, longest_s)
-    words = f"{count} runs of {study.how} values"
-    return Plan((Part(words, largest, seconds, "the values in [study]"),))
+    return Plan((Part(f"{count} runs of {study.how} values", largest, seconds, "the values in [study]"),))
 
 
 def _identified(scenario: Scenario, study: Study, whole: set[str], name: str) -> int:
@@ -160,13 +157,10 @@ def _whole_keys(scenario: Scenario, study: Study, name: str) -> set[str]:
 
 def _refuse_fractions(study: Study, whole: set[str], name: str) -> None:
     """Refuse listed values that a key would round; those between two limits are drawn, and rounded."""
-    listed = {
-        key: [v for v in values if v != round(v)] for key, values in study.values.items() if key in whole
-    }
     mistakes = [
         Mistake(f"study.values: {key}", f"takes whole numbers only, not {found[0]:g}")
-        for key, found in listed.items()
-        if found
+        for key, values in study.values.items()
+        if key in whole and (found := [v for v in values if v != round(v)])
     ]
     refuse(name, mistakes)
 

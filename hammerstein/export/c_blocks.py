@@ -112,8 +112,12 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
     for k, (n, now) in enumerate(zip(bank.n, hysteresis.plays_of(state), strict=True)):
         padded[k, :n] = now
         held: list[dict[str, Any]] = [floor | {"end": int(n)}]
-        for s in range(int(state.count[k])):
-            held.append(_segment_above(held[-1], hysteresis, state, k, s))
+        for s in range(int(state.count[k])):  # the output at each tip is that of play_kernels._load
+            below, end = held[-1], int(state.end[k, s])
+            x, d = float(state.x[k, s]), float(state.d[k, s])
+            way, turn = x - below["x"], d - below["d"]
+            tip = below["tip"] + (bank.slope[k, end] * way - turn * bank.moment[k, end])
+            held.append({"end": end, "x": x, "d": d, "tip": tip})
         held += [floor] * (segments - len(held))
         window = _window(state.window[k])
         plays.append({"count": int(state.count[k]), **window, "play": padded[k], "stack": held})
@@ -310,17 +314,6 @@ def _(hysteresis: BoucWen, state: BoucWenState) -> CPart:
         start={"lag": state.z_v.T, "here": state.last_v},
         values={"hysteresis": "bouc_wen", "helpers": ("least",)},
     )
-
-
-def _segment_above(
-    below: dict[str, Any], hysteresis: PrandtlIshlinskii, state: PlayState, k: int, s: int
-) -> dict[str, Any]:
-    """Segment s of input k, and the output at its tip, as ``play_kernels._load`` finds it."""
-    bank, end = hysteresis.bank, int(state.end[k, s])
-    x, d = float(state.x[k, s]), float(state.d[k, s])
-    way, turn = x - below["x"], d - below["d"]
-    tip = below["tip"] + (bank.slope[k, end] * way - turn * bank.moment[k, end])
-    return {"end": end, "x": x, "d": d, "tip": tip}
 
 
 @singledispatch

@@ -1,7 +1,5 @@
 """Each law as sizes, tables and a start for its template."""
 
-from __future__ import annotations
-
 from functools import singledispatch
 from typing import Any
 

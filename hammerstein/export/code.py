@@ -1,7 +1,5 @@
 """The two C files of a law, and their cost."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Sequence
@@ -70,8 +68,7 @@ class Beside:
         template = environment.get_template(f"parts/{self.part.values['hysteresis']}.jinja")
         module = template.make_module({**context, **self.part.values})
         functions = _FUNCTION.findall(str(module.functions()))
-        types = _TYPE.findall(str(module.types()))
-        own = {*functions, *types, *self.part.start}
+        own = {*functions, *_TYPE.findall(str(module.types())), *self.part.start}
         own |= {one.name for group in (self.part.sizes, self.part.tables, self.part.indices) for one in group}
         own -= set(SHARED)
         given = str(getattr(module, macro)())
@@ -177,8 +174,7 @@ class CCode:
     ) -> Library:
         """Compile it here, in one file, and load it; see ``Library``."""
         plain = self.header() + self.source(None).replace(f'#include "{self.name}.h"\n', "")
-        text = self._parsed.counting() if counting else plain
-        return Library(self.shape, text, counting, command, flags)
+        return Library(self.shape, self._parsed.counting() if counting else plain, counting, command, flags)
 
     def header(self) -> str:
         """Text of the header."""

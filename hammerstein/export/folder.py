@@ -3,8 +3,6 @@
 Source: Modelica Association, Functional Mock-up Interface 2.0 (2014) and 3.0 (2022), sections 2 and 4.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

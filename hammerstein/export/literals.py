@@ -1,7 +1,5 @@
 """Numbers and tables of Python as text of C."""
 
-from __future__ import annotations
-
 import math
 import re
 import textwrap

@@ -8,8 +8,6 @@ The bound is a proof because the code is such that there is one: every loop coun
 calls itself, and nothing outside the file is called. ``Code`` refuses code that is not.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import cached_property

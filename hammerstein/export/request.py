@@ -1,7 +1,5 @@
 """Request of an export: model, law with options, limits of the drive, and the block that they make."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal

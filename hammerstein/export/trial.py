@@ -37,8 +37,7 @@ void run({name} *law, const {real} *in, {real} *out, int32_t samples, int64_t *m
 
 def compiler() -> str | None:
     """Command of the C compiler: ``CC``, cc, gcc or clang; None if there is none."""
-    named = os.environ.get("CC", "").split()
-    candidates = [*named[:1], "cc", "gcc", "clang"]
+    candidates = [*os.environ.get("CC", "").split()[:1], "cc", "gcc", "clang"]
     return next((found for name in candidates if (found := shutil.which(name))), None)
 
 

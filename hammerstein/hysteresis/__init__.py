@@ -8,7 +8,7 @@ from hammerstein.hysteresis.asymmetric import Asymmetric, AsymmetricFile, Asymme
 from hammerstein.hysteresis.bouc_wen import BoucWen, BoucWenFile, BoucWenPair, BoucWenState
 from hammerstein.hysteresis.generalised import Envelope, Generalised, GeneralisedFile
 from hammerstein.hysteresis.kind import HYSTERESIS, Hysteresis, HysteresisFile, Normals, Sloped, slopes_of
-from hammerstein.hysteresis.pair import Bank, Pair, PlayState, WeightCovariance, play
+from hammerstein.hysteresis.pair import Pair, PlayState, WeightCovariance, play
 from hammerstein.hysteresis.parallel import Parallel, ParallelFile, ParallelState
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii, PrandtlIshlinskiiFile
 from hammerstein.hysteresis.preisach import Preisach, PreisachFile, PreisachState
@@ -18,7 +18,6 @@ __all__ = [
     "HYSTERESIS",
     "Asymmetric",
     "AsymmetricState",
-    "Bank",
     "BoucWen",
     "BoucWenPair",
     "BoucWenState",

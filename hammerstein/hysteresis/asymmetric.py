@@ -13,7 +13,7 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, Flags, Indices, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
-from hammerstein.errors import InputError
+from hammerstein.errors import InputError, refuse
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
     Bounds,
@@ -87,9 +87,7 @@ class DeadZones(ByValue):
     def __post_init__(self) -> None:
         freeze_fields(self, "breakpoints_v", "weights_um_per_v", "weight_errors_um_per_v")
         q, v, errors = self.breakpoints_v, self.weights_um_per_v, self.weight_errors_um_per_v
-        mistakes = list(weighted_mistakes("breakpoints", q, v, errors))
-        if mistakes:
-            raise InputError("dead-zones", mistakes)
+        refuse("dead-zones", list(weighted_mistakes("breakpoints", q, v, errors)))
 
     @classmethod
     def absent(cls) -> DeadZones:
@@ -321,8 +319,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 
     def _with(self, plays: PrandtlIshlinskii, zones: Sequence[Sequence[DeadZones]]) -> Asymmetric:
         """The same with other parts, of whose weights no covariance is known."""
-        parts = tuple(tuple(row) for row in zones)
-        return replace(self, plays=plays, zones=parts, weight_covariance=None)
+        return replace(self, plays=plays, zones=tuple(tuple(row) for row in zones), weight_covariance=None)
 
     @property
     def places(self) -> tuple[Array, ...]:

@@ -15,14 +15,13 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, frozen, spans
 from hammerstein.blocks import Memory
-from hammerstein.errors import IdentificationError, InputError, Mistake
+from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
     Hysteresis,
     HysteresisFile,
     PartFile,
-    described,
     refuse_not_finite,
 )
 from hammerstein.hysteresis.pair import WeightCovariance, refuse_other_sizes
@@ -73,8 +72,7 @@ class BoucWenPair:
         elif self.load_per_v < LEAST_LOAD * self.beta_per_v or self.load_per_v < 0.0:
             what = f"is {self.gamma_per_v:g}; at -beta and below the hysteretic part grows without limit"
             mistakes.append(Mistake("gamma_per_v", what))
-        if mistakes:
-            raise InputError("Bouc-Wen pair", mistakes)
+        refuse("Bouc-Wen pair", mistakes)
 
     @property
     def load_per_v(self) -> float:
@@ -244,8 +242,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         Every slope lies between them. A function that is linear in each slope, such as a determinant, is
         therefore largest and smallest at one of these combinations.
         """
-        ends = [row[k].slopes_um_per_v[::-1] for row in self.pairs]
-        return np.array(list(itertools.product(*ends)))
+        return np.array(list(itertools.product(*[row[k].slopes_um_per_v[::-1] for row in self.pairs])))
 
     @property
     def weights(self) -> tuple[Array, ...]:
@@ -269,9 +266,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[BoucWen]:
         """Blocks whose pairs all bend alike in parts of the swing; see ``Identifiable``."""
-        if not driven.half_swing_v.all():
-            name = driven.inputs[int(np.argmin(driven.half_swing_v))]
-            raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
+        driven.refuse_still()
         found = []
         for rate, share in itertools.product(FIRST_RATES, FIRST_SHARES):
             load = rate / driven.half_swing_v
@@ -355,7 +350,3 @@ class BoucWenFile(HysteresisFile):
     describes: ClassVar = BoucWen
     pairs: Annotated[tuple[tuple[BoucWenPairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
-
-    def hysteresis(self) -> BoucWen:
-        """Return the hysteresis this describes."""
-        return BoucWen(described(self.pairs), described(self.weight_covariance))

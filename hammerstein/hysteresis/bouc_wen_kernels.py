@@ -1,7 +1,5 @@
 """Compiled time loops of the Bouc-Wen model."""
 
-from __future__ import annotations
-
 import math
 
 from hammerstein.compiled import compiled, helper

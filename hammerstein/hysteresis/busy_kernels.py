@@ -17,8 +17,6 @@ signal is cut. With n operators a window of it is busy if more than one sample i
 - Busy form: windows are ``WINDOW`` samples long. The first that was not busy ends it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import helper

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
-from hammerstein.errors import IdentificationError, InputError, Mistake
+from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
@@ -105,8 +105,7 @@ class Envelope(ByValue):
         a, b = self.saturating_v, self.steepness_per_v
         if not (0.0 <= a < np.inf and 0.0 <= b < np.inf and np.isfinite(self.centre_v)):
             mistakes.append(Mistake("saturating_v", "and steepness_per_v must be 0 or more, and all finite"))
-        if mistakes:
-            raise InputError("envelope", mistakes)
+        refuse("envelope", mistakes)
 
     @cached_property
     def slopes(self) -> Array:
@@ -321,9 +320,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[Generalised]:
         """Envelopes of four lines, and one with a tangent; see ``Identifiable``."""
-        if not driven.half_swing_v.all():
-            name = driven.inputs[int(np.argmin(driven.half_swing_v))]
-            raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
+        driven.refuse_still()
         grids = [np.append(0.0, r[r > 0.0]) for r in driven.thresholds_v]
         plays = PrandtlIshlinskii((tuple(Pair(r, np.ones(len(r))) for r in grids),) * driven.outputs)
         knots, found = np.concatenate([[0.0], FIRST_KNOTS, [1.0]]), []
@@ -374,8 +371,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
             first += one.n_free
             held = self.plays.bank.r[k, : self.plays.bank.n[k] - len(r)]
             thresholds.append(np.concatenate([held, 0.5 * np.ptp(one.voltages_v) * places]))
-        plays = self.plays.at(np.concatenate(thresholds))
-        return Generalised(tuple(envelopes), plays, self.working_point_v)
+        return Generalised(tuple(envelopes), self.plays.at(np.concatenate(thresholds)), self.working_point_v)
 
     def limits(self, driven: Driven) -> Limits:
         """Thresholds that the swing engages, and envelopes that bend within it."""
@@ -384,8 +380,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
             own = one.limits()
             parts.append((np.full(len(r), LEAST_ENGAGED), np.full(len(r), 1.0 - LEAST_ENGAGED), own))
         lower = np.concatenate([part for low, _, own in parts for part in (low, own.lower)])
-        upper = np.concatenate([part for _, high, own in parts for part in (high, own.upper)])
-        return Limits(lower, upper)
+        return Limits(lower, np.concatenate([part for _, high, own in parts for part in (high, own.upper)]))
 
     def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
         """Outputs of the plays; see ``Identifiable``."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 import numpy as np
 
 from hammerstein.arrays import Array, Flags
+from hammerstein.errors import IdentificationError
 
 if TYPE_CHECKING:
     from hammerstein.hysteresis.kind import Hysteresis
@@ -63,6 +64,12 @@ class Driven:
     def half_swing_v(self) -> Array:
         """Half of the range of each input (m,) [V]."""
         return 0.5 * (self.high_v - self.low_v)
+
+    def refuse_still(self) -> None:
+        """Raise IdentificationError where an input never moves."""
+        if not self.half_swing_v.all():
+            name = self.inputs[int(np.argmin(self.half_swing_v))]
+            raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
 
 
 class Limits(NamedTuple):

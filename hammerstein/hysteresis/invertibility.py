@@ -1,7 +1,5 @@
 """Invertibility of multivariable models, tested before a run."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -41,8 +39,7 @@ def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:
 
     Raises SimulationError where there are too many to examine.
     """
-    columns = [slopes_of(hysteresis, k, amplitude_v) for k in range(hysteresis.n_inputs)]
-    return every_matrix(columns)
+    return every_matrix([slopes_of(hysteresis, k, amplitude_v) for k in range(hysteresis.n_inputs)])
 
 
 def outermost(columns: Array) -> Array:
@@ -175,8 +172,7 @@ def invertibility(
         raise InputError("inverse", f"hysteresis of kind {hysteresis.kind!r} has no test of invertibility")
     m, p = hysteresis.n_inputs, hysteresis.n_outputs
     require_square(m, p, "exact_inverse")
-    columns = [outermost(hysteresis.slope_columns(k)) for k in range(m)]
-    slopes = every_matrix(columns)
+    slopes = every_matrix([outermost(hysteresis.slope_columns(k)) for k in range(m)])
     counts, first = _counted_signs(slopes)
     return Invertibility(*counts, (), (), slopes[first], np.zeros(m))
 

@@ -14,6 +14,7 @@ from typing import (
     Protocol,
     Self,
     TypeVar,
+    cast,
     runtime_checkable,
 )
 
@@ -301,9 +302,13 @@ class HysteresisFile(Strict, ABC):
     if TYPE_CHECKING:  # a field of every kind
         kind: str
 
-    @abstractmethod
     def hysteresis(self) -> Hysteresis[Any]:
-        """Return the hysteresis this describes; InputError where it is none."""
+        """Return the hysteresis this describes, from its fields by their names; InputError where it is none.
+
+        A kind whose class does not take what its file holds says otherwise.
+        """
+        parts = {name: described(value) for name, value in self if name != "kind"}
+        return cast("Hysteresis[Any]", cast("Any", self.describes)(**parts))
 
     @model_validator(mode="after")
     def _is_a_hysteresis(self) -> Self:
@@ -311,7 +316,7 @@ class HysteresisFile(Strict, ABC):
         return self
 
 
-HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")  # type: ignore[type-abstract]
+HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")
 
 
 def refuse_unbuilt(build: Callable[[], object]) -> None:
@@ -379,10 +384,10 @@ class CovarianceFile(PartFile):
 
 
 def described(files: Any) -> Any:
-    """What files of parts describe, in the same rows; None where there are none."""
-    if files is None:
-        return None
-    return files.value() if isinstance(files, PartFile) else tuple(map(described, files))
+    """What files of parts describe, in the same rows; any other value as it is."""
+    if isinstance(files, tuple):
+        return tuple(map(described, files))
+    return files.value() if isinstance(files, PartFile) else files
 
 
 def lower_triangle(where: str, rows: tuple[tuple[float, ...], ...]) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, refuse
 
 
 def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
@@ -121,8 +121,7 @@ class Pair(ByValue):
         if (r < 0).any():
             what = f"holds a negative value, {r.min():g} V; thresholds are 0 or more"
             mistakes.append(Mistake("thresholds_v", what))
-        if mistakes:
-            raise InputError("Prandtl-Ishlinskii pair", mistakes)
+        refuse("Prandtl-Ishlinskii pair", mistakes)
 
     @classmethod
     def linear(cls, gain_um_per_v: float) -> Pair:

@@ -32,8 +32,6 @@ calls its memory is still a stack, with one segment for each operator and d = 0.
 Source: Brokate and Sprekels, Hysteresis and Phase Transitions (1996), chapter 2 (play operator, memory).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled, helper

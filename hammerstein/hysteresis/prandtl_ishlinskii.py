@@ -20,7 +20,6 @@ from hammerstein.hysteresis.kind import (
     Hysteresis,
     HysteresisFile,
     PairFile,
-    described,
     refuse_not_finite,
 )
 from hammerstein.hysteresis.pair import (
@@ -71,8 +70,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pairs", tuple(tuple(row) for row in self.pairs))
-        widths = {len(row) for row in self.pairs}
-        if len(widths) != 1 or not self.pairs[0]:
+        if len({len(row) for row in self.pairs}) != 1 or not self.pairs[0]:
             what = "must hold one pair for each input of each output"
             raise InputError("Prandtl-Ishlinskii model", [Mistake("pairs", what)])
         if not any(len(pair.thresholds_v) for row in self.pairs for pair in row):
@@ -310,7 +308,3 @@ class PrandtlIshlinskiiFile(HysteresisFile):
     describes: ClassVar = PrandtlIshlinskii
     pairs: Annotated[tuple[tuple[PairFile, ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
-
-    def hysteresis(self) -> PrandtlIshlinskii:
-        """Return the hysteresis this describes."""
-        return PrandtlIshlinskii(described(self.pairs), described(self.weight_covariance))

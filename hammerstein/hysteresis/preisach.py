@@ -13,7 +13,7 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, Flags, Indices, freeze, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
-from hammerstein.errors import IdentificationError, InputError, Mistake
+from hammerstein.errors import Mistake, refuse
 from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
 from hammerstein.hysteresis.kind import (
@@ -176,9 +176,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         m = len(self.low_v) if self.low_v.ndim == 1 else 0
         given = np.zeros(m) if self.working_point_v is None else self.working_point_v
         object.__setattr__(self, "working_point_v", frozen(given))
-        mistakes = list(self._mistakes(m))
-        if mistakes:
-            raise InputError("preisach model", mistakes)
+        refuse("preisach model", list(self._mistakes(m)))
 
     def _mistakes(self, m: int) -> list[Mistake]:
         """What is wrong with the numbers given."""
@@ -291,9 +289,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         Each is also tried with the working point in its middle. If an actuator that was never driven rests
         near the end of its range, its first rise passes relays that switch off below the range.
         """
-        if not driven.half_swing_v.all():
-            name = driven.inputs[int(np.argmin(driven.half_swing_v))]
-            raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
+        driven.refuse_still()
         tried: tuple[int, ...] = CELLS
         if driven.given:
             tried = (min(max(len(r) for r in driven.thresholds_v), MOST_CELLS),)

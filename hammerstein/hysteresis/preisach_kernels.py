@@ -16,8 +16,6 @@ level or a turn, a new one.
 Sources: Mayergoyz, Mathematical Models of Hysteresis (1991), chapter 1 (staircase, Everett function).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled, helper

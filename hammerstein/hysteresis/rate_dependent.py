@@ -15,14 +15,13 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
-from hammerstein.errors import IdentificationError, InputError, Mistake
+from hammerstein.errors import IdentificationError, InputError, Mistake, refuse
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
     Hysteresis,
     HysteresisFile,
     PartFile,
-    described,
     refuse_not_finite,
 )
 from hammerstein.hysteresis.pair import WeightCovariance, played
@@ -83,8 +82,7 @@ class RatePlays(ByValue):
                 )
         if not (self.bandwidth_hz > 0.0 and 0.0 <= self.lambda_s_per_v < math.inf):
             mistakes.append(Mistake("bandwidth_hz", "must be above 0, and lambda_s_per_v 0 or more"))
-        if mistakes:
-            raise InputError("rate-dependent plays", mistakes)
+        refuse("rate-dependent plays", mistakes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,14 +383,6 @@ class RateDependentFile(HysteresisFile):
     weights_um_per_v: Annotated[tuple[tuple[tuple[Weight, ...], ...], ...], Field(min_length=1)]
     weight_covariance: tuple[CovarianceFile, ...] | None = None
 
-    def hysteresis(self) -> RateDependent:
-        """Return the hysteresis this describes."""
-        return RateDependent(
-            described(self.inputs),
-            tuple(tuple(np.asarray(w, dtype=float) for w in row) for row in self.weights_um_per_v),
-            weight_covariance=described(self.weight_covariance),
-        )
-
 
 def stability_gain(weights: Array, growth_s: Array, poles: Array, sample_time_s: float) -> Array:
     """How far the loop of each input is from ringing up (m,): stable below 1; inf where nothing is known.
@@ -417,8 +407,7 @@ def stability_gain(weights: Array, growth_s: Array, poles: Array, sample_time_s:
 
     Source: Gershgorin's discs in the coordinates of the mean slopes; this work's.
     """
-    first = weights[:, 0].T
-    mean = 0.5 * (first + weights.sum(axis=1).T)
+    mean = 0.5 * (weights[:, 0].T + weights.sum(axis=1).T)
     ends, across, kept = [], [], []
     for k, own_weights in enumerate(weights):
         shares = np.linalg.solve(mean, own_weights.T)

@@ -1,7 +1,5 @@
 """Compiled time loops of plays whose thresholds grow with the rate."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled, helper

@@ -1,7 +1,5 @@
 """Compiled functions of one play an input: one-sided dead-zones, the inverse of an envelope."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled, helper

@@ -1,7 +1,5 @@
 """Models with a resonance, a low-pass or creep on each axis, beside those without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -77,14 +75,9 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     settings = replace(task.settings, delay_samples=0)
     prompt = [replace(guess, delay_samples=0, free_delay=False) for guess in guesses]
     other = _built_with(replace(task, settings=settings, delay_samples=0), prompt)
-    left, without = (_log_rms_left(one) for one in (built, other))
+    rms = [np.maximum(one.best.blocks.chosen.rms_um, TINY) for one in (built, other)]
+    left, without = (float(np.log(one).sum()) for one in rms)  # multiplied over the outputs
     return built if left < without + task.outputs * math.log(1.0 - FELT) else other
-
-
-def _log_rms_left(built: CandidateSet) -> float:
-    """Logarithm of the rms error of the largest model, multiplied over the outputs."""
-    rms = built.best.blocks.chosen.rms_um
-    return float(np.log(np.maximum(rms, TINY)).sum())
 
 
 def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:

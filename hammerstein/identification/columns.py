@@ -3,8 +3,6 @@
 The moments of all columns are gathered once; every set of them is a part of those.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
 

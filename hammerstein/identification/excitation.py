@@ -1,7 +1,5 @@
 """Excitation of each input: whether an output responds to it, and whether its voltage turns."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -38,16 +36,12 @@ def responses(candidate: Candidate, records: Sequence[Record], starts: Sequence[
     for record, start in zip(records, starts, strict=True):
         left += (candidate.residual(record, start) ** 2).sum(axis=1)
         for k in range(len(power)):
-            response = candidate.predict(_alone(record, k), start)[:, start.first :]
+            u = np.zeros_like(record.u_v)  # the effects of the inputs add up
+            u[k] = record.u_v[k]
+            alone = replace(record, u_v=u, verified=True)
+            response = candidate.predict(alone, start)[:, start.first :]
             power[k] += response.var(axis=1) * response.shape[1]
     return np.asarray(np.sqrt((power / np.maximum(left, np.finfo(float).tiny)).max(axis=1)))
-
-
-def _alone(record: Record, k: int) -> Record:
-    """The record with one voltage; the effects of the inputs add up."""
-    u = np.zeros_like(record.u_v)
-    u[k] = record.u_v[k]
-    return replace(record, u_v=u, verified=True)
 
 
 def refuse_noise(records: Sequence[Record], response: Array) -> None:

@@ -1,7 +1,5 @@
 """Result of an identification beside the model: errors, offsets, statements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -29,25 +27,10 @@ KIND_NAMES: Mapping[Kind, str] = {
 }
 
 
-_OWN_FORM = frozenset(
-    {
-        "fit",
-        "validation",
-        "candidates",
-        "alone",
-        "covariance",
-        "records",
-        "held",
-        "starts",
-        "held_starts",
-        "axes",
-        "error_curve",
-        "trials",
-    }
-)
+_NOT_PLAIN = {"candidates", "alone", "covariance", "records", "held", "held_starts"}
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Fit(NotebookRepr):
     """Origin of a model, and its accuracy.
 
@@ -96,25 +79,25 @@ class Fit(NotebookRepr):
     amplitude_v: float
     amplitudes_v: tuple[float, ...]
     voltages: Voltages
-    delay_samples: float
+    delay_samples: float = 0.0
     sample_time_s: float
-    sensor_bandwidth_hz: float | None
-    sensor_delay_s: float
+    sensor_bandwidth_hz: float | None = None
+    sensor_delay_s: float = 0.0
     offsets_um: tuple[tuple[float, ...], ...]
     starts: tuple[InitialState, ...]
     held_starts: tuple[InitialState, ...]
-    axes: tuple[AxisFit, ...]
+    axes: tuple[AxisFit, ...] = ()
     trials: tuple[Trial, ...]
     order: int | None
-    error_curve: tuple[CurvePoint, ...]
-    not_identifiable: tuple[str, ...]
+    error_curve: tuple[CurvePoint, ...] = ()
+    not_identifiable: tuple[str, ...] = ()
     flags: tuple[str, ...]
     notes: tuple[str, ...]
     invertible: bool
     invertibility: str
     verdict: str
     candidates: Mapping[Kind, Candidate]
-    covariance: ParameterCovariance | None
+    covariance: ParameterCovariance | None = None
     records: tuple[Record, ...]
     held: tuple[Record, ...]
     alone: Candidate | None = None
@@ -139,7 +122,7 @@ class Fit(NotebookRepr):
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: ``fit`` and ``validation`` hold the errors of each kind of model."""
-        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _OWN_FORM}
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in _NOT_PLAIN}
         return plain | {
             "voltages": self.voltages.model_dump(mode="json"),
             "fit": {kind: asdict(score) for kind, score in self.fit.items()},

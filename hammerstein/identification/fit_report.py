@@ -1,7 +1,5 @@
 """Statements about an identified model, and its file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -37,6 +35,7 @@ from hammerstein.identification.task import CandidateSet, FittedModel, Task
 from hammerstein.identification.verdict import axis_statements, bound_notes, verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.model.covariance import ParameterCovariance
+from hammerstein.quantities import by_key
 from hammerstein.records.faults import Fault
 from hammerstein.records.record import Record
 from hammerstein.signals.units import spoken
@@ -198,14 +197,11 @@ def _open_places(task: Task, built: CandidateSet, known: ParameterCovariance | N
         return []
     least_v = NIL_THRESHOLD * half_swing(task.records)
     places = [(k, r) for k, n in enumerate(block.bank.n) for r in block.bank.r[k, :n]]
-    found: dict[str, list[str]] = {}
-    for k, r in (places[i] for i in known.open):
-        if r > least_v[k]:
-            found.setdefault(task.records[0].inputs[k], []).append(f"{r:.3g}")
+    far = [(task.records[0].inputs[k], r) for k, r in (places[i] for i in known.open) if r > least_v[k]]
     return [
-        f"{'threshold' if len(own) == 1 else 'thresholds'} {', '.join(own)} V of input {name}: the records "
-        "hardly determine the distance to the next ones"
-        for name, own in found.items()
+        f"threshold{'s' * (len(own) > 1)} {', '.join(f'{r:.3g}' for _, r in own)} V of input {name}: the "
+        "records hardly determine the distance to the next ones"
+        for name, own in by_key(far, lambda place: place[0]).items()
     ]
 
 

@@ -1,7 +1,5 @@
 """From records to a model and an account of how far it can be trusted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -17,7 +15,6 @@ from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.fit_report import Errors, fit_of, model_of
 from hammerstein.identification.initialisation import first_task, settle_s_of, start_mode
 from hammerstein.identification.kinds import with_hysteresis
-from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.model_selection import Trial, chosen, trial_of
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.options import PLAYS, identifiable_kinds
@@ -162,7 +159,8 @@ def fit_plays(
     if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
     task, guesses, curve = first_task(ready, settings, tell)
-    built = _build(task, guesses)
+    build = build_state_space if task.settings.dynamics == "state_space" else build_static
+    built = build_axes(task, guesses) if guesses else build(task)
     response = responses(built.best.candidate, ready, task.starts)
     refuse_noise(ready, response)
     settle_s = settle_s_of(guesses)
@@ -194,8 +192,7 @@ def fit_kind(
         task, built = with_hysteresis(replace(task, settings=asked), built)
         if built.untold:
             raise UntoldError(built.untold)
-        starts = _starts_of_held(errors.held, built, prepared.settle_s, settings)
-        errors = errors._replace(held_starts=starts)
+        errors = errors._replace(held_starts=_starts_of_held(errors.held, built, prepared.settle_s, settings))
     errors = errors._replace(
         fitted=_scores(built, task.records, task.starts, settings),
         judged=_scores(built, errors.held, errors.held_starts, settings) if errors.held else {},
@@ -298,9 +295,3 @@ def _refuse_twice(records: Sequence[Record]) -> None:
                 named = record.source == other.source
                 what = "is given twice" if named else f"is the same record as {other.source}"
                 raise InputError(record.source, f"{what}: give every record once")
-
-
-def _build(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
-    if guesses:
-        return build_axes(task, guesses)
-    return build_state_space(task) if task.settings.dynamics == "state_space" else build_static(task)

@@ -1,7 +1,5 @@
 """Initialisation: initial states, delays and thresholds of the records, before a model is fitted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -111,11 +111,12 @@ def with_hysteresis(task: Task, built: CandidateSet) -> tuple[Task, CandidateSet
     alike = before if found.behind.is_static else _plays_before(task, thresholds_v, found.behind, before)
     plays = {**built.found, "classical": alike}
     if name == built.kind == "static_hysteresis" and task.delay_samples != with_plays:
-        plays = _better(task, plays, _plays_of(task))
+        alone = begun_static(task).found  # with the delay that a model without plays alone was kept with
+        plays = _better(task, plays, {"linear": alone["linear"], "classical": alone["static_hysteresis"]})
     models = {**plays, name: FittedModel(found.candidate, before.blocks, axes)}
     notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
-    alone = tried[0].candidate
-    return task, replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold, alone=alone)
+    built = replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
+    return task, replace(built, alone=tried[0].candidate)
 
 
 def _plays_before(
@@ -155,12 +156,6 @@ def _untold(task: Task, thresholds_v: Thresholds, found: HammersteinFit) -> str:
         f"{words}: the cross-validation error of plays alone is {alone.percent:.3g} % of the range, "
         f"that of {task.settings.hysteresis} {with_own.percent:.3g} %; the model keeps plays"
     )
-
-
-def _plays_of(task: Task) -> dict[Kind, FittedModel]:
-    """Linear gain and plays, with the delay that a model without plays alone was kept with."""
-    found = begun_static(task).found
-    return {"linear": found["linear"], "classical": found["static_hysteresis"]}
 
 
 def _better(
@@ -281,8 +276,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
     found = OutputDynamics((), 0.0 if free else task.delay_samples)
     whole = _before(task, thresholds_v, found, None if alone.placed else alone, ROUGHLY)
     for turn in range(MOST_TURNS):
-        late = free and turn == DELAY_TURN
-        found = search_output_dynamics(task, whole.block.hysteresis, found, late)
+        found = search_output_dynamics(task, whole.block.hysteresis, found, free and turn == DELAY_TURN)
         like, enough = (_again(whole.block), ENOUGH) if turn else (None, ROUGHLY)
         whole = _before(task, thresholds_v, found, like, enough)
         found = whole.behind

@@ -12,8 +12,6 @@ Each column may be as large as the part of the residual that is no noise: if the
 moves.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Model selection by cross-validation: the simplest model that is as good as the best."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -263,8 +261,7 @@ def behind_path(
 ) -> Iterator[tuple[int, Array]]:
     """First sample and rows (column, sample) of blocks of columns behind the linear block and the sensor."""
     whole, part_s = split_delay(candidate.dynamics.input_delay_s, record.sample_time_s)
-    prompt = candidate.dynamics.model_copy(update={"input_delay_s": part_s})
-    paths = candidate.sensor.paths(prompt, [record])
+    paths = candidate.sensor.paths(candidate.dynamics.model_copy(update={"input_delay_s": part_s}), [record])
     return columns.blocks(start, whole, path_filters(paths, 0, o, len(columns.held), len(record.y_um)))
 
 

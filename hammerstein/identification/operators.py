@@ -1,7 +1,5 @@
 """Thresholds for given records, and how many of them the records call for."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

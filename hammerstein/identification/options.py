@@ -1,7 +1,5 @@
 """Words that choose how a model is identified: the same in scenarios, on the command line and in Python."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from hammerstein.hysteresis import HYSTERESIS

@@ -4,8 +4,6 @@ Every kind is linear in its weights. Its response to each weight alone is a colu
 axis, the weights are linear unknowns as slopes of plays are, and the search is that of ``axis_steps``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -21,8 +21,6 @@ is scaled, by simulated draws, until it explains the residual: a linearisation h
 They err by as much as they move beside columns of other laws; see ``misspecification``.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -204,8 +202,7 @@ def _pooled(told: Sequence[_Told], hysteresis: Hysteresis[Any], related: int) ->
     variance = np.sum([np.sum(one.residual**2, axis=1) for one in told], axis=0) / samples
     misfit = _misfit([one.residual for one in told], variance, related)
     information, following = [], []
-    known = hysteresis.weight_covariance or ()
-    for o, (weights, s2) in enumerate(zip(known, variance, strict=True)):
+    for o, (weights, s2) in enumerate(zip(hysteresis.weight_covariance or (), variance, strict=True)):
         alone = np.sum([one.every * one.by_numbers[o] @ one.by_numbers[o].T for one in told], axis=0)
         mixed = np.sum([one.every * one.by_weights[o] @ one.by_numbers[o].T for one in told], axis=0)
         gram = np.sum([one.every * one.by_weights[o] @ one.by_weights[o].T for one in told], axis=0)

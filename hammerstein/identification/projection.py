@@ -173,8 +173,7 @@ class _Search:
         own = self.first.limits(self.driven)
         axes = [self._axis_task(o, ()).limits for o in range(self.task.outputs)]
         lower = np.concatenate([own.lower, *(low for low, _ in axes)])
-        upper = np.concatenate([own.upper, *(high for _, high in axes)])
-        return lower, upper
+        return lower, np.concatenate([own.upper, *(high for _, high in axes)])
 
     def begun(self) -> _Place:
         """The place to begin with."""

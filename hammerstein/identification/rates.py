@@ -1,7 +1,5 @@
 """Rates at which records drive their inputs: a single rate does not separate lag from hysteresis."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ record is counted from the voltage at which it began; the model's working point 
 that began at rest.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

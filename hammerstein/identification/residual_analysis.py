@@ -1,7 +1,5 @@
 """Residual analysis: whether the prediction error is noise, or an effect that the model lacks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Collection, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Predictions of a model for a record, and their errors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Known sensor from its data sheet, whose effect on readings is excluded from the model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from hammerstein.arrays import Array, ByValue
-from hammerstein.errors import InputError, Mistake
+from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.identification.operators import input_grids
 from hammerstein.identification.options import (
     MOST_DEAD_ZONES,
@@ -93,9 +93,12 @@ class Settings(ByValue):
     error_curve: bool = True
 
     def __post_init__(self) -> None:
-        mistakes = [*self._unknown_choices(), *self._misfits(), *self._bad_numbers()]
-        if mistakes:
-            raise InputError("identification", mistakes)
+        unknown = [
+            Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
+            for name, known in {**CHOICES, "hysteresis": tuple(identifiable_kinds())}.items()
+            if getattr(self, name) not in known
+        ]
+        refuse("identification", [*unknown, *self._misfits(), *self._bad_numbers()])
 
     def without_auto(self) -> Settings:
         """The same with plain choices for what would be found from the records by plays alone.
@@ -112,13 +115,6 @@ class Settings(ByValue):
     def with_plays(self) -> Settings:
         """The same with plays in place of another kind of hysteresis."""
         return replace(self, hysteresis=PLAYS, dead_zones=None)
-
-    def _unknown_choices(self) -> list[Mistake]:
-        return [
-            Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
-            for name, known in {**CHOICES, "hysteresis": tuple(identifiable_kinds())}.items()
-            if getattr(self, name) not in known
-        ]
 
     def _misfits(self) -> list[Mistake]:
         mistakes = []

@@ -1,7 +1,5 @@
 """Models with a linear block in state space, beside those without dynamics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

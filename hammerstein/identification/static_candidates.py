@@ -1,7 +1,5 @@
 """Models without dynamics: a linear gain, and static hysteresis with thresholds begun with or fitted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -47,7 +45,9 @@ def begun_static(task: Task) -> CandidateSet:
     """Linear gain and static hysteresis with the thresholds of the task."""
     dynamics = StaticDynamics(n_outputs=task.outputs)
     task.progress("fitting the static block")
-    gain = _of_linear_gain(task)
+    starts = (InitialState("rest"),) * len(task.records)
+    # its own delay, the same beside hysteresis of any kind, and all samples
+    gain = late_static(replace(task, thresholds_v=task.linear_thresholds(), starts=starts))
     linear = static_blocks(gain, gain.thresholds_v, dynamics, "least_squares")
     blocks = static_blocks(task, task.thresholds_v, dynamics, task.settings.solver)
     found: dict[Kind, FittedModel] = {
@@ -55,12 +55,6 @@ def begun_static(task: Task) -> CandidateSet:
         "static_hysteresis": FittedModel(task.candidate(blocks.chosen.hysteresis, dynamics), blocks),
     }
     return CandidateSet(found, "static_hysteresis")
-
-
-def _of_linear_gain(task: Task) -> Task:
-    """The task of a linear gain: its own delay, the same beside hysteresis of any kind, and all samples."""
-    starts = (InitialState("rest"),) * len(task.records)
-    return late_static(replace(task, thresholds_v=task.linear_thresholds(), starts=starts))
 
 
 def finished_static(task: Task, built: CandidateSet) -> CandidateSet:

@@ -72,8 +72,7 @@ class Task:
     def paths(self, dynamics: Dynamics) -> list[LinearBlock]:
         """Discrete path of each record from the static block to the reading, with the part of a sample."""
         part_s = (self.delay_samples - self.whole_delay) * self.records[0].sample_time_s
-        prompt = dynamics.model_copy(update={"input_delay_s": part_s})
-        return self.settings.sensor.paths(prompt, self.records)
+        return self.settings.sensor.paths(dynamics.model_copy(update={"input_delay_s": part_s}), self.records)
 
     def candidate(self, hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Candidate:
         """Static block and linear block as a model with the delay of the task."""

@@ -1,7 +1,5 @@
 """Sentences about a fit: blocks that improve the model, and numbers that the records do not identify."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from hammerstein.identification.fit import KIND_NAMES, Kind

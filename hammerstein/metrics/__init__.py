@@ -5,7 +5,7 @@ tolerances and baseline follow.
 """
 
 from hammerstein.metrics.arrays import LoopFigures, euclidean, loop_figures, rms, worst
-from hammerstein.metrics.metric import KEY, METRICS, Keyed, Measured, Metric, Row, drift, metric, metrics_of
+from hammerstein.metrics.metric import KEY, METRICS, Keyed, Measured, Metric, Row, metric, metrics_of
 
 __all__ = [
     "KEY",
@@ -15,7 +15,6 @@ __all__ = [
     "Measured",
     "Metric",
     "Row",
-    "drift",
     "euclidean",
     "loop_figures",
     "metric",

@@ -1,7 +1,5 @@
 """Figures of merit of a run and the mean cycle of a record: pure functions of arrays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

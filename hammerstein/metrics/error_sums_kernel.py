@@ -1,7 +1,5 @@
 """Compiled sums over the errors of a path: what its figures of merit need, in one pass over memory."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled, helper

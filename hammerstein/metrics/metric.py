@@ -1,7 +1,5 @@
 """Every figure of merit: name, unit, meaning, how it is found in the measured window of a case, and rows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields

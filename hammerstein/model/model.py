@@ -131,8 +131,7 @@ class HammersteinModel(ByValue, NotebookRepr):
 
     def static(self) -> HammersteinModel:
         """Return the same static block without its dynamics."""
-        dynamics = StaticDynamics(n_outputs=self.hysteresis.n_outputs)
-        return replace(self, dynamics=dynamics, covariance=None)
+        return replace(self, dynamics=StaticDynamics(n_outputs=self.hysteresis.n_outputs), covariance=None)
 
     def drawn(self, generator: Normals) -> HammersteinModel:
         """Draw a random actuator from the covariance of all parameters.
@@ -253,8 +252,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         ------
         InputError : a sample time that does not fit the dynamics, or an unknown wire
         """
-        plant = self._plant(sample_time_s, instruments)
-        return plant.to_iosys(seed, outputs, name)
+        return self._plant(sample_time_s, instruments).to_iosys(seed, outputs, name)
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights (output, input) [um] of the settled loops at slow voltages of an amplitude [V].

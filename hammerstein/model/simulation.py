@@ -405,8 +405,7 @@ class Plant:
             response, after = self.carry_on(requested_v[:, None], state)
             return np.concatenate([getattr(response, wire)[:, 0] for wire in outputs]), after
 
-        start = self.rest(np.atleast_1d(seed).tolist())
-        block = Stepwise(start, step, PlantState.as_dict, self.restore)
+        block = Stepwise(self.rest(np.atleast_1d(seed).tolist()), step, PlantState.as_dict, self.restore)
         wires = [label for wire in outputs for label in signals(wire, counts[wire])]
         voltages = signals("requested_v", self.model.hysteresis.n_inputs)
         return BlockSystem(block, voltages, wires, self.sample_time_s, name)

@@ -130,8 +130,7 @@ class Paper(Assessment):
         known = {model.name: [rows, *repeated(model)]}
         for other in self.also_on if self.claims else ():
             found = HammersteinModel.load(other.actuator)
-            first = rows_needed(scenario, self.claims, name, found, store)
-            known[found.name] = [first, *repeated(found)]
+            known[found.name] = [rows_needed(scenario, self.claims, name, found, store), *repeated(found)]
         return judgements(
             self.claims, known, lambda claim: tuple(changes_of(scenario, model, claim, repeats, store))
         )
@@ -147,8 +146,7 @@ class Paper(Assessment):
         """A line each reading of the paper: how many of the counted claims hold."""
         from hammerstein.paper.page import readings_of
 
-        found = readings_of(reports)
-        return [f"{r.actuator}{f' ({r.words})' if r.words else ''}: {r.text()}" for r in found]
+        return [f"{r.actuator}{f' ({r.words})' if r.words else ''}: {r.text()}" for r in readings_of(reports)]
 
     @classmethod
     def shipped(cls) -> Mapping[str, Path]:

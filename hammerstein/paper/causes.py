@@ -1,7 +1,5 @@
 """Why a claim is not met: the same figure with one factor of the chain changed at a time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -130,14 +128,14 @@ def _dynamics(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Vari
 
 def _passes(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     changed = with_passes(scenario, PASSES)
-    words = f"with {PASSES} passes a sample"
-    return None if changed is None else Variation(("passes",), words, changed, model)
+    return (
+        None if changed is None else Variation(("passes",), f"with {PASSES} passes a sample", changed, model)
+    )
 
 
 def _sample_time(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     changed = finer(scenario, model, FINER)
-    words = sampling(changed.instruments.drive.sample_time_s)
-    return Variation(("sample_time",), words, changed, model)
+    return Variation(("sample_time",), sampling(changed.instruments.drive.sample_time_s), changed, model)
 
 
 def _amplitude(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
@@ -149,7 +147,9 @@ def _amplitude(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Var
 
 def _frequency(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     """A claim that compares frequencies, or follows one from where it was found, is not asked this."""
-    if claim.quantity.found_hz is not None or len(set(_frequencies(scenario))) != 1:
+    tested = [s.identification for s in (*scenario.compensators, *scenario.models) if s.is_tested]
+    frequencies = {spec.frequency_hz for spec in tested if isinstance(spec, ClosedFormSpec)}
+    if claim.quantity.found_hz is not None or len(frequencies) != 1:
         return None
     changed = identified_with(scenario, "frequency_hz", LOW_HZ)
     words = f"identified at {LOW_HZ:g} Hz"
@@ -191,8 +191,7 @@ def rows_needed(
         for case in setup.cases()
         if any(claim.selects(row) for row in empty_rows_of(setup, case) for claim in claims)
     ]
-    kept = CaseCache(setup, store)
-    return [row for result in kept.results(cases) for row in result.rows]
+    return [row for result in CaseCache(setup, store).results(cases) for row in result.rows]
 
 
 def _value(scenario: Scenario, model: HammersteinModel, claim: Claim, store: Store | None) -> float:
@@ -244,13 +243,6 @@ def identified_with(scenario: Scenario, key: str, value: float) -> Scenario | No
         return source.model_copy(update={"identification": spec.model_copy(update={key: value})})
 
     return _with_sources(scenario, change)
-
-
-def _frequencies(scenario: Scenario) -> Iterator[float]:
-    """Frequency of every closed-form identification [Hz]."""
-    for source in (*scenario.compensators, *scenario.models):
-        if source.is_tested and isinstance(source.identification, ClosedFormSpec):
-            yield source.identification.frequency_hz
 
 
 def amplitude_of_path(scenario: Scenario, model: HammersteinModel, claim: Claim) -> float:

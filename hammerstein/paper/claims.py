@@ -1,7 +1,5 @@
 """Claims of a publication: each a statement, its figure, and the rows of a run that give it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise

@@ -231,7 +231,8 @@ def _judged(
     cause, reason = _cause(changes) if unmet else ("", _open(own))
     if unmet and claim.calibrated:
         reason = "The actuator was made to meet this claim; no change was tried."
-    details = [_cut(claim, rows), _listed(changes), claim.note if own.agrees is not True else ""]
+    tried = [f"{change.words} {change.shown}" for change in changes if math.isfinite(change.value)]
+    details = [_cut(claim, rows), "; ".join(tried), claim.note if own.agrees is not True else ""]
     return ClaimJudgement(
         claim.id,
         claim.statement,
@@ -266,11 +267,6 @@ def _cut(claim: Claim, rows: Sequence[Row]) -> str:
     """Say that the drive's range clipped the voltage in the rows of a claim."""
     cut = max((row.saturated_samples or 0 for row in rows if claim.selects(row)), default=0)
     return f"the reference exceeds the range: the drive clipped {cut:g} samples" if cut else ""
-
-
-def _listed(changes: Sequence[Change]) -> str:
-    """What every change gives."""
-    return "; ".join(f"{change.words} {change.shown}" for change in changes if math.isfinite(change.value))
 
 
 def _cause(changes: Sequence[Change]) -> tuple[str, str]:

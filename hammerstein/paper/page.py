@@ -9,13 +9,15 @@ from pathlib import Path
 from hammerstein.escaping import csv_text, markdown_page
 from hammerstein.experiment.report import Report
 from hammerstein.model import HammersteinModel, packaged_actuators
-from hammerstein.paper.judgements import ClaimJudgement, Simulated
+from hammerstein.paper.judgements import ClaimJudgement
+from hammerstein.quantities import by_key
 from hammerstein.reporting.run_page import place_of
 from hammerstein.runtime.manifest import Manifest, Owner
 from hammerstein.runtime.staging import Stage, staged
 
 CLAIMS = Owner("claims")
 PAGE = Owner("page")
+MARKS = {True: "", False: ", no", None: ", ?"}  # of a verdict, behind its figure
 CLAIMS_FILE, PAGE_FILE = "claims.csv", "README.md"
 MOST_PICTURES = 20  # one a report; the other figures are in the reports
 
@@ -116,19 +118,14 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         places={report.name: printed_at(report) for report in reports},
         readings=readings_of(reports),
         tables=[_table(group, actuators) for group in (counted, [j for j in judgements if j.calibrated])],
-        quoted=_quoted(judgements),
+        quoted={  # sentences of the paper, each with the claims that it makes
+            quote: [judgement.id for judgement in own]
+            for quote, own in by_key(judgements, lambda judgement: judgement.quote).items()
+            if quote
+        },
         unmet=[j for j in counted if not j.agrees],
         total=len(counted),
     )
-
-
-def _quoted(judgements: Sequence[ClaimJudgement]) -> dict[str, list[str]]:
-    """Sentences of the paper, each with the claims that it makes."""
-    found: dict[str, list[str]] = {}
-    for judgement in judgements:
-        if judgement.quote:
-            found.setdefault(judgement.quote, []).append(judgement.id)
-    return found
 
 
 def readings_of(reports: Sequence[Report]) -> list[Met]:
@@ -175,12 +172,6 @@ def _table(judgements: Sequence[ClaimJudgement], actuators: Sequence[str]) -> li
     rows = []
     for judgement in judgements:
         found = {one.actuator: one for one in judgement.simulated}
-        cells = [_cell(found.get(name)) for name in actuators]
+        cells = [found[name].shown + MARKS[found[name].agrees] if name in found else "" for name in actuators]
         rows.append((judgement.id, judgement.statement, judgement.printed, judgement.wanted, *cells))
     return rows
-
-
-def _cell(one: Simulated | None) -> str:
-    if one is None:
-        return ""
-    return one.shown + {True: "", False: ", no", None: ", ?"}[one.agrees]

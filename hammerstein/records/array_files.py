@@ -1,7 +1,5 @@
 """Arrays in NumPy, MATLAB, HDF5, Excel and TDMS files, and how one column of them is named."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re
@@ -62,8 +60,7 @@ def array_columns(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
             units.append(variables[_resolved(variables, name)].unit)
         except InputError as error:
             mistakes += [Mistake(f"column {column}", mistake.what) for mistake in error.mistakes]
-    lengths = {len(column) for column in columns}
-    if not mistakes and len(lengths) > 1:
+    if not mistakes and len({len(column) for column in columns}) > 1:
         listed = ", ".join(f"{name} {len(column)}" for name, column in zip(wanted, columns, strict=True))
         mistakes.append(Mistake("columns", f"have different numbers of samples: {listed}"))
     refuse(str(path), mistakes)
@@ -256,7 +253,8 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     if not isinstance(value, np.ndarray) or isinstance(value, MatlabOpaque | MatlabFunction):
         return
     if value.dtype.names:
-        for number, item in _numbered(value):
+        for k, item in enumerate(value.flatten(order="F"), start=1):
+            number = f".{k}" if value.size > 1 else ""  # a lone structure has none
             for field in value.dtype.names:
                 yield from _flat(f"{name}{number}.{field}", item[field])
     elif value.dtype == object:
@@ -264,12 +262,6 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
             yield from _flat(f"{name}.{k}", item)
     elif value.dtype.kind in "biufc" and value.size:
         yield name, value
-
-
-def _numbered(items: Any) -> list[tuple[str, Any]]:
-    """Members of a MATLAB array in its order, each with its number as part of a path; a lone one has none."""
-    flat = items.flatten(order="F")
-    return [(f".{k}" if flat.size > 1 else "", item) for k, item in enumerate(flat, start=1)]
 
 
 def _hdf5(path: Path, matlab: bool = False) -> Variables:

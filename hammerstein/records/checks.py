@@ -3,8 +3,6 @@
 All functions return mistakes instead of raising them, so that one message can list all.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 
@@ -143,16 +141,11 @@ def _clipped(u: Array, column: Array, side: float) -> list[tuple[int, int]]:
     span = float(np.ptp(column))
     if len(places) == 0 or span == 0.0:
         return []
-    push = side * _straight_line(u, column)
-    limit = max(0.01 * span, 3.0 * quantum(column))
-    return [(int(a), int(b)) for a, b in places if push[a : b + 1].max() - push[a] > limit]
-
-
-def _straight_line(u: Array, column: Array) -> Array:
-    """Best linear function of the voltages: what the output would do without hysteresis or limits."""
     centred = u - u.mean(axis=1, keepdims=True)
     gain = np.linalg.lstsq(centred @ centred.T, centred @ (column - column.mean()), rcond=None)[0]
-    return np.asarray(gain @ centred)
+    push = side * gain @ centred  # what the output would do without hysteresis or limits
+    limit = max(0.01 * span, 3.0 * quantum(column))
+    return [(int(a), int(b)) for a, b in places if push[a : b + 1].max() - push[a] > limit]
 
 
 def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
@@ -174,8 +167,15 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
         steps < 0.5 * typical
     )  # with jitter, long and short steps make up for each other
     if 2 * short < gaps.size <= max(FEW_GAPS * len(steps), 1):
-        listed = [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]]
-        return listed + not_listed(where(name), gaps.size, "gaps further down")
+        found = [
+            Mistake(
+                where(name, rows, k, k + 1),
+                f"gap of {interval(steps[k])}, about {max(round(steps[k] / typical) - 1, 1)} missing "
+                "samples; cut the record there",
+            )
+            for k in gaps[:SHOWN].tolist()
+        ]
+        return found + not_listed(where(name), gaps.size, "gaps further down")
     deviation = np.abs(time_s - np.linspace(time_s[0], time_s[-1], len(time_s)))
     if deviation.max() > time_tolerance(time_s):
         k = int(np.argmax(deviation))
@@ -187,15 +187,6 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
             )
         ]
     return []
-
-
-def _time_gap(name: str, time_s: Array, rows: Indices, k: int, typical: float) -> Mistake:
-    step = float(time_s[k + 1] - time_s[k])
-    missing = max(round(step / typical) - 1, 1)
-    return Mistake(
-        where(name, rows, k, k + 1),
-        f"gap of {interval(step)}, about {missing} missing samples; cut the record there",
-    )
 
 
 def hidden_gaps(name: str, time_s: Array, rows: Indices) -> list[Mistake]:

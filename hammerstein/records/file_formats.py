@@ -1,7 +1,5 @@
 """Formats of files that NumPy does not read: MATLAB 4 to 7.2, workbooks of Excel, TDMS of LabVIEW."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 import zlib
@@ -85,8 +83,7 @@ class Reader:
 
     def inflated(self, data: memoryview) -> memoryview:
         """Content of a compressed element, if it is no larger than allowed."""
-        machine = zlib.decompressobj()
-        head = machine.decompress(data[:LOOKED_AT], 8)
+        head = zlib.decompressobj().decompress(data[:LOOKED_AT], 8)
         if len(head) < 8:
             raise ValueError("a compressed variable is cut short")
         size = int(np.frombuffer(head, f"{self.order}u4")[1])
@@ -129,7 +126,10 @@ class Reader:
             raise ValueError(f"an array of {count:.3g} values is stored in {len(data)} bytes")
         name = bytes(_next(parts).data).decode("latin-1")
         if class_ == TEXT:
-            return name, _text(_next(parts))
+            text = _next(parts)
+            if text.kind not in TEXTS:
+                raise ValueError(f"a text is stored as type {text.kind}")
+            return name, np.array([bytes(text.data).decode(TEXTS[text.kind], errors="replace")])
         if class_ in (CELL, STRUCTURE):
             self.spend(count * MEMBER_BYTES)
         if class_ == CELL:
@@ -206,13 +206,6 @@ def _next(parts: Iterator[Element]) -> Element:
     if element is None:
         raise ValueError("a variable is cut short")
     return element
-
-
-def _text(element: Element) -> NDArray[Any]:
-    encoding = TEXTS.get(element.kind)
-    if encoding is None:
-        raise ValueError(f"a text is stored as type {element.kind}")
-    return np.array([bytes(element.data).decode(encoding, errors="replace")])
 
 
 UNIT_NAMES = ("unit_string", "units", "unit")

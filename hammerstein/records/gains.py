@@ -1,7 +1,5 @@
 """Gain from each voltage to each output, which reveals wrong units."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

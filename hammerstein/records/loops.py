@@ -4,8 +4,6 @@ A loop runs from one turning point of a voltage to the next but one. Its lines a
 which is commanded and clean, so that sensor noise opens no loop and closes none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -14,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.quantities import by_key
 from hammerstein.records.record import Record, driven_alone, driven_inputs
 from hammerstein.records.turning_points import Excursion, find_cycles, noise_rms, quantum
 
@@ -159,11 +158,8 @@ def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
     >>> len(loops), [loop.start for loop in telling_loops(loops, most=1)]
     (4, [500])
     """
-    pairs: dict[tuple[str, str], list[Loop]] = {}
-    for loop in loops:
-        pairs.setdefault((loop.input, loop.output), []).append(loop)
     kept: set[int] = set()
-    for own in pairs.values():
+    for own in by_key(loops, lambda loop: (loop.input, loop.output)).values():
         widest = max(loop.amplitude_v for loop in own)
         least = SLOW * max(loop.samples for loop in own if loop.amplitude_v >= WIDE * widest)
         slow = [loop for loop in own if loop.samples >= least]
@@ -365,7 +361,8 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
     """Drift and settling, from the next cycle of the same amplitude or, failing that, the one before."""
     loop, path = loops[k], paths[k]
     limit = SETTLED_NOISE * path.noise + SETTLED_SHARE * loop.height_um
-    same_v = max(band_v, SETTLED_SHARE * loop.amplitude_v, 0.5 * _tip_step(path))
+    steps = np.abs(np.diff(path.u))[[0, path.turn - 1, path.turn, -1]]  # sampling may cut off half a step
+    same_v = max(band_v, SETTLED_SHARE * loop.amplitude_v, 0.5 * float(steps.max()))
     after = next((i for i in range(k + 1, len(loops)) if loops[i].minor == loop.minor), None)
     before = next((i for i in range(k - 1, -1, -1) if loops[i].minor == loop.minor), None)
     for other, sign in ((after, 1.0), (before, -1.0)):
@@ -384,12 +381,6 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
     closed = abs(float(path.u[0] - path.u[-1])) <= max(same_v, 0.01 * loop.amplitude_v)
     clear = limit <= LONE_SHARE * loop.height_um
     return replace(loop, settled=closed and clear and abs(loop.closure_um) <= limit)
-
-
-def _tip_step(path: _Path) -> float:
-    """Largest step of the voltage beside a tip: sampling may cut off half of it."""
-    steps = np.abs(np.diff(path.u))
-    return float(max(steps[0], steps[path.turn - 1], steps[path.turn], steps[-1]))
 
 
 def _profile(path: _Path) -> Array:

@@ -69,8 +69,7 @@ class Products:
         whole = samples - samples % CHUNK
         stack = signals[:, :whole].reshape(count, -1, CHUNK).transpose(1, 0, 2)
         rest = signals[:, whole:]
-        gram = np.matmul(stack, stack.transpose(0, 2, 1)).sum(axis=0) + rest @ rest.T
-        return cls(gram, samples)
+        return cls(np.matmul(stack, stack.transpose(0, 2, 1)).sum(axis=0) + rest @ rest.T, samples)
 
     def fit(self, columns: Sequence[int], target: int) -> tuple[Array, float]:
         """Weights of signals that fit another signal best, and the rms error.
@@ -202,7 +201,9 @@ def _spikes(u: Array, y: Array, suspects: Flags, suspect_y: Flags) -> Flags:
     """
     trial = np.array([_bridged(row, flags) for row, flags in zip(u, suspects, strict=True)])
     anywhere = np.any(suspects, axis=0)
-    aside = suspect_y | _widened(anywhere)
+    aside = suspect_y.copy()
+    for start, stop in runs(anywhere):
+        aside[:, max(start - 1, 0) : stop + LAGS[-1] + 2] = True  # as far behind each as the fit looks back
     with_them, without = (y - _fit(v, y, aside) for v in (u, trial))
     ratio = _ratio(*(_level(np.abs(error), aside, 0.5) for error in (without, with_them)))
     if ratio <= BETTER:
@@ -333,14 +334,6 @@ def _bridged(x: Array, flags: Flags) -> Array:
         return x
     samples, kept = np.arange(len(x)), ~flags
     return np.asarray(np.where(flags, np.interp(samples, samples[kept], x[kept]), x))
-
-
-def _widened(flags: Flags) -> Flags:
-    """Flags and as many samples behind each as the fit looks back."""
-    wide = flags.copy()
-    for start, stop in runs(flags):
-        wide[max(start - 1, 0) : stop + LAGS[-1] + 2] = True
-    return wide
 
 
 def _fit(u: Array, y: Array, aside: Flags) -> Array:

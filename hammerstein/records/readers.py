@@ -11,9 +11,11 @@ How a column is named
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -121,8 +123,9 @@ class Header:
                 tuple(arrays), tuple(unit_in(bracketed(unit or "") or name) for name, unit in arrays.items())
             )
         if suffix in PARQUET:
-            names: Sequence[str] = _parquet_names(path)
-            return cls(tuple(names), tuple(map(unit_in, names)))
+            with _parquet(path) as file:
+                names = tuple(file.schema_arrow.names)
+            return cls(names, tuple(map(unit_in, names)))
         layout = find_layout(path)
         texts = [_unit_text(k, layout.names, layout.units) for k in range(layout.width)]
         return cls(tuple(layout.names), tuple(map(unit_in, texts)))
@@ -252,8 +255,9 @@ def _known(column: str, names: Sequence[str], width: int) -> str:
     return f"{suggestion}it has {listed}{', ...' if len(names) > 20 else ''}"
 
 
-def _parquet_names(path: Path) -> list[str]:
-    """Names of the columns of a Parquet file."""
+@contextmanager
+def _parquet(path: Path) -> Iterator[Any]:
+    """A Parquet file; InputError where it cannot be read."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -261,24 +265,21 @@ def _parquet_names(path: Path) -> list[str]:
         what = "reading Parquet needs pyarrow: pip install pyarrow, or convert the file to CSV"
         raise InputError(str(path), what) from None
     try:
-        return list(parquet.read_schema(path).names)
+        with parquet.ParquetFile(path) as file:
+            yield file
     except (OSError, arrow.ArrowException) as error:
         raise InputError(str(path), f"cannot be read as a Parquet file ({error})") from None
 
 
 def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
-    names = _parquet_names(path)
-    indices = _choose(path, wanted, names, len(names))
+    with _parquet(path) as file:
+        names = file.schema_arrow.names
+        indices = _choose(path, wanted, names, len(names))
+        chosen = tuple(names[k] for k in indices)
+        refuse_large((len(indices), file.metadata.num_rows))
+        table = file.read(columns=chosen)
     import pyarrow as arrow
-    from pyarrow import parquet
 
-    try:
-        with parquet.ParquetFile(path) as file:
-            refuse_large((len(indices), file.metadata.num_rows))
-            table = file.read(columns=[names[k] for k in indices])
-    except (OSError, arrow.ArrowException) as error:
-        raise InputError(str(path), f"cannot be read as a Parquet file ({error})") from None
-    chosen = tuple(names[k] for k in indices)
     values = np.full((len(chosen), table.num_rows), np.nan)
     rows = np.arange(1, table.num_rows + 1)
     text = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -73,7 +72,13 @@ def read_records(
     m, p, wanted = len(inputs), len(outputs), [*inputs, *outputs, *([time] if time is not None else [])]
 
     def read(path: PathLike) -> Record:
-        record = _record(read_columns(path, wanted), m, p, rate_hz, input_scale, output_scale)
+        columns = read_columns(path, wanted)
+        found, factors = _factors_of(columns, m, p, (input_scale, output_scale))
+        late, step = _sample_time_of(columns) if rate_hz is None else ([], 1.0 / rate_hz)
+        refuse(columns.source, [*columns.mistakes, *found, *late])
+        values = factors[:, None] * columns.values[: m + p]
+        names = tuple(axis_name(name) for name in columns.names[: m + p])
+        record = Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
         if rate_hz is not None:
             _refuse_other_time(path, rate_hz, wanted)
         return record
@@ -152,26 +157,6 @@ def _named_twice(chosen: Mapping[str, Sequence[str]]) -> Iterator[Mistake]:
         yield Mistake(kinds, f"{column} is named twice; a column is one input, one output or the time")
 
 
-def _record(
-    columns: Columns,
-    m: int,
-    p: int,
-    rate_hz: float | None,
-    input_scale: float | None,
-    output_scale: float | None,
-) -> Record:
-    found, factors = _factors_of(columns, m, p, (input_scale, output_scale))
-    mistakes = [*columns.mistakes, *found]
-    step = 1.0 / rate_hz if rate_hz is not None else 1.0
-    if rate_hz is None:
-        found, step = _sample_time_of(columns)
-        mistakes += found
-    refuse(columns.source, mistakes)
-    values = factors[:, None] * columns.values[: m + p]
-    names = tuple(axis_name(name) for name in columns.names[: m + p])
-    return Record(values[:m], values[m:], step, names[:m], names[m:], columns.source, columns.rows)
-
-
 def _factors_of(
     columns: Columns, m: int, p: int, scales: tuple[float | None, float | None]
 ) -> tuple[list[Mistake], Array]:
@@ -211,8 +196,7 @@ def _refuse_other_time(path: str | Path, rate_hz: float, wanted: Sequence[str]) 
             f"the given rate is {rate_hz:g} Hz, but the column {name} has steps of {step:.6g}, which "
             f"is {1.0 / seconds:.6g} Hz; give --time {name} instead of --rate, or the right rate",
         )
-    mistakes = hidden_gaps(name, time_s, time.rows)
-    refuse(str(path), mistakes)
+    refuse(str(path), hidden_gaps(name, time_s, time.rows))
 
 
 def _sample_time_of(columns: Columns) -> tuple[list[Mistake], float]:
@@ -241,17 +225,14 @@ def _refuse_never_driven(records: Sequence[Record]) -> None:
         ("input", records[0].inputs, [record.u_v for record in records]),
         ("output", records[0].outputs, [record.y_um for record in records]),
     )
-    mistakes = list(chain.from_iterable(_axis_mistakes(*group) for group in groups))
+    mistakes = []
+    for kind, names, values in groups:
+        for k, name in enumerate(names):
+            if not any(moves(value[k]) for value in values):
+                mistakes.append(still_mistake(where(name), values[0][k], kind))
+            elif wrong := unit_mistake(where(name), max(float(np.ptp(value[k])) for value in values), kind):
+                mistakes.append(wrong)
     refuse(source, mistakes)
-
-
-def _axis_mistakes(kind: str, names: Sequence[str], values: Sequence[Array]) -> Iterator[Mistake]:
-    for k, name in enumerate(names):
-        place = where(name)
-        if not any(moves(value[k]) for value in values):
-            yield still_mistake(place, values[0][k], kind)
-        elif mistake := unit_mistake(place, max(float(np.ptp(value[k])) for value in values), kind):
-            yield mistake
 
 
 def read_paired_records(

@@ -88,8 +88,7 @@ class Record(NotebookRepr):
         self._refuse_names()
         if verified:
             return
-        mistakes = self._gaps() or self._mend() or self._mistakes()
-        refuse(self.source, mistakes)
+        refuse(self.source, self._gaps() or self._mend() or self._mistakes())
 
     def __repr__(self) -> str:
         parts = [f"{self.samples} samples of {interval(self.sample_time_s)}"]
@@ -222,8 +221,7 @@ def dead_start(record: Record) -> int:
     ----------
     record : voltages and displacements
     """
-    held = _held(record)
-    return 0 if moves_while_held(record) else held
+    return 0 if moves_while_held(record) else _held(record)
 
 
 def moves_while_held(record: Record) -> bool:

@@ -1,7 +1,5 @@
 """Turning points of a voltage, and small excursions on larger branches."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -211,8 +209,7 @@ def find_cycles(u_v: ArrayLike) -> Cycles:
     band = dead_band(u)
     points = turning_points(u, band).tolist()
     main, minor = _without_minor(u, points, band)
-    excursions = sorted([*_main_cycles(u, main, band), *minor])
-    return Cycles(tuple(points), tuple(excursions), band)
+    return Cycles(tuple(points), tuple(sorted([*_main_cycles(u, main, band), *minor])), band)
 
 
 def _without_minor(u: Array, points: list[int], band: float) -> tuple[list[int], list[Excursion]]:

@@ -1,7 +1,5 @@
 """Result of a check, for the terminal, a summary page and CI."""
 
-from __future__ import annotations
-
 import math
 import re
 import shlex
@@ -242,20 +240,15 @@ def _cells(finding: Finding) -> dict[str, str]:
     before, now = finding.baseline, finding.now
     if isinstance(before, (int, float)) and isinstance(now, (int, float)):
         cells["baseline"], cells["now"] = _distinct(before, now)
-        cells["change"], cells["allowed"] = _change(finding, before, now)
+        moved, tolerance = deviation(finding.metric, now, before), finding.tolerance
+        relative = limit(before, tolerance) > tolerance.absolute  # else the absolute bound is the larger one
+        cells["change"] = f"{100.0 * moved / abs(before):+.2g} %" if relative else f"{moved:+.3g}"
+        cells["allowed"] = f"{100.0 * tolerance.relative:g} %" if relative else f"{tolerance.absolute:g}"
         return cells
     stored = finding.kind in (Kind.MISSING_ROW, Kind.MISSING_NUMBER)
     cells["baseline"] = _plain(before) if before is not None else "present" if stored else MISSING
     cells["now"] = _plain(now) if now is not None else MISSING if stored else "present"
     return cells
-
-
-def _change(finding: Finding, before: float, now: float) -> tuple[str, str]:
-    """Change and tolerance: relative, or absolute if that is the larger bound."""
-    moved, tolerance = deviation(finding.metric, now, before), finding.tolerance
-    if limit(before, tolerance) > tolerance.absolute:
-        return f"{100.0 * moved / abs(before):+.2g} %", f"{100.0 * tolerance.relative:g} %"
-    return f"{moved:+.3g}", f"{tolerance.absolute:g}"
 
 
 def _plain(value: float | str) -> str:

@@ -1,7 +1,5 @@
 """Page of a check: findings, and old and new curves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from hammerstein.escaping import Markdown

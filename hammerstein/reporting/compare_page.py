@@ -1,7 +1,5 @@
 """A comparison of models as a page for people."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Collection
 from pathlib import Path

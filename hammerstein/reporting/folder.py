@@ -24,7 +24,7 @@ from hammerstein.reporting.figures.write import FIGURES
 from hammerstein.reporting.interactive import Interactive
 from hammerstein.runtime.manifest import Manifest, Owner, digest_of, is_inside
 from hammerstein.runtime.parallel_tasks import Jobs
-from hammerstein.runtime.staging import Stage, prepare, staged
+from hammerstein.runtime.staging import prepare, staged
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.scenario import WORDS
@@ -66,7 +66,8 @@ def write_report(
     report : what to write
     folder : where to; made if it does not exist
     figures : whether to draw
-    traces : format of the traces, none if not given
+    traces : format of the traces, one file a case, every wire a column (CSV) or a variable (MATLAB); none if
+        not given
     interactive : whether the page holds plots to zoom into
     store : where figures are kept and found; all are drawn if not given
     overwrite : whether to replace files that other programs wrote or a person changed
@@ -80,8 +81,10 @@ def write_report(
 
     with staged(folder, REPORT, overwrite) as stage:
         files = drawn(report, store, png) if figures else {}
-        if traces is not None:
-            _write_traces(report, stage, traces)
+        for number, trace in enumerate(report.traces if traces else (), start=1):
+            name = f"traces/{number:03d}_{_file_name(trace)}.{traces}"
+            columns = {"time_s": trace.time_s} | trace.response.columns()
+            stage.write(name, csv_text(columns) if traces == "csv" else _matlab(columns, stage.folder / name))
         run_page(report, files).write(stage, "report", files, _plots(report) if interactive else None)
     return WrittenReport(tuple(stage.written), stage.kept)
 
@@ -118,16 +121,8 @@ class Writer:
     def __call__(self, report: Report) -> tuple[Path, ...]:
         """Write one report; give the places of files that were kept."""
         folder = self.out / report.name
-        written = write_report(
-            report,
-            folder,
-            figures=self.figures,
-            traces=self.traces,
-            interactive=self.interactive,
-            store=self.store,
-            overwrite=self.overwrite,
-            png=self.png,
-        )
+        options = {name: value for name, value in vars(self).items() if name != "out"}
+        written = write_report(report, folder, **options)
         key = self._key(report.name, report.scenario)
         if self.store is not None and key is not None:
             names = [path.relative_to(folder).as_posix() for path in written.files]
@@ -157,14 +152,6 @@ class Writer:
             return key_of("report", [name, scenario.content(), form])
         except OSError:
             return None
-
-
-def _write_traces(report: Report, stage: Stage, kind: TraceFormat) -> None:
-    """One file a case, every wire a column (CSV) or a variable (MATLAB)."""
-    for number, trace in enumerate(report.traces, start=1):
-        name = f"traces/{number:03d}_{_file_name(trace)}.{kind}"
-        columns = {"time_s": trace.time_s} | trace.response.columns()
-        stage.write(name, csv_text(columns) if kind == "csv" else _matlab(columns, stage.folder / name))
 
 
 def _file_name(trace: Trace) -> str:
@@ -229,7 +216,10 @@ def keep(store: Store, key: str, report: Report, folder: Path, names: list[str])
     listed = Manifest.read(folder).files
     contents = {name: (folder / name).read_bytes() for name in names}
     if all(name in listed and digest_of(folder / name) == listed[name].sha256 for name in names):
-        store.write(key, Kept(_document(report), _arrays(contents)))
+        asked = {"name", "scenario", "traces"}  # of these the new report has its own, or none
+        names = [item.name for item in fields(report) if item.name not in asked]
+        document = {name: to_jsonable_python(getattr(report, name)) for name in names}
+        store.write(key, Kept(document, _arrays(contents)))
 
 
 def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report, dict[str, bytes]] | None:
@@ -238,12 +228,6 @@ def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report
     if entry is None or not all(map(is_inside, entry.arrays)):
         return None
     return _report(entry.document, name, scenario), _bytes(entry)
-
-
-def _document(report: Report) -> dict[str, Any]:
-    asked = {"name", "scenario", "traces"}  # of these the new report has its own, or none
-    names = [item.name for item in fields(report) if item.name not in asked]
-    return {name: to_jsonable_python(getattr(report, name)) for name in names}
 
 
 def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Report:

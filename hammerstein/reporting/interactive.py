@@ -14,7 +14,6 @@ from markupsafe import Markup
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
-    from bokeh.models import UIElement
     from matplotlib.figure import Figure
 
 PLACE = "plots"
@@ -53,15 +52,13 @@ def interactive_of(
     Raises InputError where bokeh is not installed.
     """
     refuse_without_library()
+    from bokeh.embed import json_item
+
     from hammerstein.reporting.plots import plots_of
 
     layout = plots_of(figures, steps)
-    return None if layout is None else _embedded(layout)
-
-
-def _embedded(layout: UIElement) -> Interactive:
-    from bokeh.embed import json_item
-
+    if layout is None:
+        return None
     item = _numbered(json_item(layout))
     # Keys in bokeh's order: what is referred to comes first. "<" by its number: nothing ends the element.
     data = json.dumps(item, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

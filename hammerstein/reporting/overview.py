@@ -1,7 +1,5 @@
 """Overview of many reports: a page with one card for each, and a digest for the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +8,13 @@ from urllib.parse import quote
 from hammerstein.experiment.report import (
     Condition,
     Report,
-    by_condition,
     is_direct,
     labels_of,
     number,
     told_apart,
 )
 from hammerstein.metrics import Row
+from hammerstein.quantities import by_key
 from hammerstein.reporting.page import rendered
 from hammerstein.reporting.run_page import place_of
 from hammerstein.runtime.manifest import Manifest, Owner
@@ -71,22 +69,21 @@ def write_overview(reports: Sequence[Report], out: Path, overwrite: bool = False
 
 
 def digest(reports: Sequence[Report], out: Path) -> list[str]:
-    """At most fifteen lines on many reports: what to open, three headlines, where claims are judged."""
+    """At most fifteen lines on many reports: what to open, three headlines, where claims are judged.
+
+    Headlines are of reports without judgements, one of each kind of signal first.
+    """
     lines = [f"open first: {out / PAGE}"]
-    for report in [r for r in _telling(reports) if not r.judgements][:MOST_SHOWN]:
+    telling = [report for report in reports if report.scenario.compensators and _worst(report)]
+    first = {report.scenario.signal.kind: report for report in reversed(telling)}.values()
+    telling.sort(key=lambda report: (report not in first, report.name))
+    for report in [report for report in telling if not report.judgements][:MOST_SHOWN]:
         (label, value), told = _worst(report)[0], _told(report)
         lines.append(f"{report.name}: {told[0].lower()}{told[1:]}: {value} um ({label})")
     for kind, asked in _assessed(reports).items():
         found = [f"  {line}" for line in kind.tally(asked)]
         lines += [f"{kind.title}, judged in each report and on the overview:", *found[:MOST_LINES]]
     return lines
-
-
-def _telling(reports: Sequence[Report]) -> list[Report]:
-    """Reports that have a headline, one of each kind of signal first."""
-    telling = [report for report in reports if report.scenario.compensators and _worst(report)]
-    first = {report.scenario.signal.kind: report for report in reversed(telling)}.values()
-    return sorted(telling, key=lambda report: (report not in first, report.name))
 
 
 def _assessed(reports: Sequence[Report]) -> dict[type[Assessment], list[Report]]:
@@ -106,8 +103,7 @@ def _sections(reports: Sequence[Report], out: Path) -> Iterator[Section]:
     if examples:
         yield Section("Examples" if assessed else "", (), examples)
     for kind, group in assessed.items():
-        cards = tuple(_card(report, out) for report in group)
-        yield Section(kind.title, tuple(kind.tally(group)), cards)
+        yield Section(kind.title, tuple(kind.tally(group)), tuple(_card(report, out) for report in group))
 
 
 def _card(report: Report, out: Path) -> Card:
@@ -157,21 +153,16 @@ def _within_range(report: Report) -> list[Row]:
 
     Where the drive's range clips the voltages of every compensator, the error is the range's, not theirs.
     """
-    inside = by_condition(report.rows)
-    reached = [rows for rows in inside.values() if not _all_cut(rows)] or list(inside.values())
+    runs = list(by_key(report.rows, Condition.of).values())
+    cut = [{row.compensator for row in rows if row.saturated_samples} for rows in runs]
+    reached = [rows for rows, those in zip(runs, cut, strict=True) if those != set(labels_of(rows))] or runs
     return [row for rows in reached for row in rows]
-
-
-def _all_cut(rows: Sequence[Row]) -> bool:
-    """Whether the drive's range clipped the voltages of every compensator."""
-    cut = {row.compensator for row in rows if row.saturated_samples}
-    return cut == set(labels_of(rows))
 
 
 def _beyond_range(report: Report) -> str:
     """Conditions that the worst errors leave out, such as ``50 um``."""
     kept = {Condition.of(row) for row in _within_range(report)}
-    names = told_apart(list(by_condition(report.rows)))
+    names = told_apart(list(dict.fromkeys(map(Condition.of, report.rows))))
     return "; ".join(words for condition, words in names.items() if condition not in kept)
 
 

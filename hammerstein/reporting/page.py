@@ -75,13 +75,10 @@ def environment() -> Environment:
     """Templates of the pages."""
     found = templates_of("hammerstein", Markup)
     found.filters["unbroken"] = unbroken
-    found.globals |= {"style": _own_file(found, "page.css"), "script": _own_file(found, "page.js")}
-    return found
-
-
-def _own_file(found: Environment, name: str) -> Markup:
     assert found.loader is not None
-    return Markup(found.loader.get_source(found, name)[0])  # of this package
+    for name, file in (("style", "page.css"), ("script", "page.js")):
+        found.globals[name] = Markup(found.loader.get_source(found, file)[0])  # of this package
+    return found
 
 
 def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[Markup, list[Heading]]:
@@ -134,6 +131,8 @@ def _tabulated(tokens: Sequence[Token]) -> None:
     Numbers stand to the right on one line; long words are broken; a table without heads lists facts; details
     fold out.
     """
+    from markdown_it.token import Token
+
     title = ""
     for start, token in enumerate(tokens):
         if token.type == "heading_open":
@@ -150,11 +149,9 @@ def _tabulated(tokens: Sequence[Token]) -> None:
         for number, (cell, text) in enumerate(cells):
             cell.attrSet("data-name", heads[number % len(heads)])
             if heads[number % len(heads)] == FOLDED and text.content:
-                text.children = [
-                    _html("<details><summary>show</summary>"),
-                    *(text.children or ()),
-                    _html("</details>"),
-                ]
+                ends = ("<details><summary>show</summary>", "</details>")
+                before, after = (Token("html_inline", "", 0, content=end) for end in ends)
+                text.children = [before, *(text.children or ()), after]
         if not any(heads):
             kind = "words pairs"
         elif max((len(text.content) for _, text in cells), default=0) > LONGEST_NUMBER:
@@ -165,12 +162,6 @@ def _tabulated(tokens: Sequence[Token]) -> None:
         table = Markup('<table class="{}" style="--numbers:{}">').format(kind, len(heads) - 1)
         _replaced(token, scroll + table)
         _replaced(close, Markup("</table></div>\n"))
-
-
-def _html(text: str) -> Token:
-    from markdown_it.token import Token
-
-    return Token("html_inline", "", 0, content=text)
 
 
 def _framed(tokens: Sequence[Token], drawn: Mapping[str, bytes]) -> None:

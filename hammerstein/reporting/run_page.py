@@ -1,7 +1,5 @@
 """The page of a run: the question, the answer, figures, numbers, and how it was run."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import re
@@ -123,20 +121,15 @@ def _answer(report: Report) -> Markdown:
     def told(text: str) -> Markdown:
         return Markdown(re.sub(f"[{opening}{closing}]", "*", markdown(text)))
 
-    return paragraphs(
-        part
-        for sentence in sentences(report, quoted)
-        for part in (told(sentence.words), _small_table([list(map(told, row)) for row in sentence.table]))
-    )
-
-
-def _small_table(rows: Sequence[Sequence[Markdown]]) -> Markdown:
-    """Table of a head and rows of numbers; empty without them."""
-    if not rows:
-        return Markdown("")
-    lines = [Markdown(" | ").join(row) for row in rows]
-    rule = Markdown(" | ").join([Markdown("---"), *[Markdown("---:")] * (len(rows[0]) - 1)])
-    return Markdown("\n").join(Markdown("| {} |").format(line) for line in (lines[0], rule, *lines[1:]))
+    parts = []
+    for sentence in sentences(report, quoted):
+        parts.append(told(sentence.words))
+        lines = [Markdown(" | ").join(map(told, row)) for row in sentence.table]
+        if lines:
+            rule = Markdown(" | ").join(["---", *["---:"] * (len(sentence.table[0]) - 1)])
+            lines = [Markdown("| {} |").format(line) for line in (lines[0], rule, *lines[1:])]
+            parts.append(Markdown("\n").join(lines))
+    return paragraphs(parts)
 
 
 def _body(report: Report, figures: Sequence[str]) -> Markdown:
@@ -308,8 +301,12 @@ def source_of(source: ModelSource) -> dict[str, str]:
     if source.identification is not None:
         found = source.identification.model_dump(mode="json", exclude_none=True)
         origin = f"identified: {_listed(found, plain=True)}"
-    columns = ("compensator" if is_law else "model", "law or model", "settings", "source of its model")
-    return dict(zip(columns, (source.label, what, _listed(own, plain=True), origin), strict=True))
+    return {
+        "compensator" if is_law else "model": source.label,
+        "law or model": what,
+        "settings": _listed(own, plain=True),
+        "source of its model": origin,
+    }
 
 
 def _listed(values: dict[str, Any], plain: bool = False) -> str:

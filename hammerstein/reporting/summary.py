@@ -8,11 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from hammerstein.experiment.report import (
-    Band,
     Condition,
     Report,
     banded_metric,
-    by_condition,
     is_direct,
     is_path,
     labels_of,
@@ -22,6 +20,7 @@ from hammerstein.experiment.report import (
     told_apart,
 )
 from hammerstein.metrics import METRICS, Row
+from hammerstein.quantities import by_key
 from hammerstein.signals import OneFrequency
 
 MOST_RANGES = 2  # ranges of a sweep that are told one by one; more are counted
@@ -125,11 +124,8 @@ def _uncertain(report: Report, contest: Contest) -> Sentence | None:
     metric, words = banded_metric(report)
     nominal = {row.place: getattr(row, metric) for row in report.rows if is_direct(report, row)}
     bands = [band for band in report.bands if band.metric == metric and band.place in nominal]
-    runs: dict[tuple[int | None, str], list[Band]] = {}
-    for band in bands:
-        runs.setdefault((band.trial, band.compensator), []).append(band)
     rows = []
-    for (trial, label), own in runs.items():
+    for (trial, label), own in by_key(bands, lambda band: (band.trial, band.compensator)).items():
         name = contest.named(label) + ("" if trial is None else f", trial {trial}")
         each = zip(*((band.median_um, band.p95_um, nominal[band.place]) for band in own), strict=True)
         rows.append((name, *(number(max(values)) for values in each)))
@@ -153,11 +149,18 @@ def _compared(report: Report, contest: Contest) -> Sentence:
         words = f"rms error of the {'predicted ' * (target == 'prediction')}{of}"
         direct = [row for row in report.rows if is_direct(report, row)]
         groups = [direct, [row for row in report.rows if not is_direct(report, row)]]
-    kinds = [{c: _values(rows, name) for c, rows in by_condition(group).items()} for group in groups if group]
+    kinds = [
+        {c: _values(rows, name) for c, rows in by_key(group, Condition.of).items()}
+        for group in groups
+        if group
+    ]
     ((condition, found), *more) = kinds[0].items()
     if more or len(kinds) > 1:
         return _table(kinds, words, contest)
-    texts = [f"{contest.named(n)} {number(v)} um{_share(condition, v, name)}" for n, v in found.items()]
+    texts = [f"{contest.named(n)} {number(v)} um" for n, v in found.items()]
+    if condition.amplitude and condition.unit == "um" and "max" in name:  # as a part of the path's size
+        parts = [percent(value / condition.amplitude) for value in found.values()]
+        texts = [f"{text} ({part})" for text, part in zip(texts, parts, strict=True)]
     if len(texts) > MOST_LABELS + 1:
         texts = [*texts[:MOST_LABELS], f"largest: {texts[-1]}"]
     return Sentence(f"The {words}: {', '.join(texts)}.")
@@ -217,13 +220,6 @@ def listed(texts: Sequence[str]) -> str:
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
 
 
-def _share(condition: Condition, value: float, name: str) -> str:
-    """The worst distance as a part of the path's size."""
-    if not condition.amplitude or condition.unit != "um" or "max" not in name:
-        return ""
-    return f" ({percent(value / condition.amplitude)})"
-
-
 def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
     """Geometric mean over the sweep: the large values near a resonance do not decide alone."""
     logarithms = [math.log(max(found[label], 1e-12)) for found in values.values() if label in found]
@@ -254,7 +250,7 @@ def _loops(report: Report) -> Sentence:
     measured = [row for row in report.rows if row.height_um is not None]
     if not measured:
         return Sentence("There is no reference to compare with: the figures show the sensor's readings.")
-    inside = by_condition(measured)
+    inside = by_key(measured, Condition.of)
     ends = list(dict.fromkeys([next(iter(inside)), next(reversed(inside))]))
     lines: dict[str, list[str]] = {}
     for condition in ends:

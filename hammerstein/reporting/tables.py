@@ -1,7 +1,5 @@
 """The numbers of a report as compact tables for a page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,6 +20,7 @@ from hammerstein.experiment.report import (
     share_held,
 )
 from hammerstein.metrics import Row
+from hammerstein.quantities import by_key
 
 MOST_LINES = 250
 """Lines of all tables together; a longer sweep is thinned."""
@@ -64,7 +63,10 @@ def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
             both.insert(int(report.reading_first), true)
         for title, which in both:
             yield errors(report, kept, title, which, remark)
-    loops = [row for row in _once(report, kept) if row.height_um is not None]
+    loops = [row for row in kept if row.height_um is not None]
+    if report.scenario.reference is None:  # several models that are compared with one run share its loop
+        shared = {(row.excited_axis, row.measured_axis, Condition.of(row)): row for row in loops}
+        loops = [replace(row, compensator="") for row in shared.values()]
     if 0 < len(loops) <= MOST_LOOPS:
         yield _loops(report, loops, remark)
     if report.bands:
@@ -84,26 +86,14 @@ def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
     return rows, remark.format(len(kept), len(frequencies))
 
 
-def _once(report: Report, rows: Sequence[Row]) -> list[Row]:
-    """Each loop once: several models that are compared with one run share its loop."""
-    if report.scenario.reference is not None:
-        return list(rows)
-    shared = {(row.excited_axis, row.measured_axis, Condition.of(row)): row for row in rows}
-    return [replace(row, compensator="") for row in shared.values()]
-
-
 def _lines(rows: Sequence[Row]) -> Iterable[list[Row]]:
     """Rows that stand in one line: those of one label in one run or in its runs axis by axis."""
-    lines: dict[tuple[str, Condition], list[Row]] = {}
-    for row in rows:
-        lines.setdefault((row.compensator, Condition.of(row)), []).append(row)
-    return lines.values()
+    return by_key(rows, lambda row: (row.compensator, Condition.of(row))).values()
 
 
 def _keys(rows: Sequence[Row]) -> list[str]:
     """What tells the lines of a table apart: the label, and the parts of the conditions that differ."""
-    found = set(map(Condition.of, rows))
-    return ["label"] * any(row.compensator for row in rows) + differing(found)
+    return ["label"] * any(row.compensator for row in rows) + differing(set(map(Condition.of, rows)))
 
 
 def _place(rows: Sequence[Row]) -> str:

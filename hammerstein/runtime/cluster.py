@@ -4,8 +4,6 @@ A scheduler has its workers execute whatever a client sends: it belongs into a n
 behind TLS.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

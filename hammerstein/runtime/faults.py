@@ -1,7 +1,5 @@
 """Unexpected errors: one line, an exit code of their own, and a file to send in."""
 
-from __future__ import annotations
-
 import hashlib
 import platform
 import sys

@@ -289,8 +289,7 @@ def _journal(room: Path) -> Exchange:
 def _refuse_links(folder: Path, room: Path, plan: Exchange) -> None:
     """Refuse an exchange that would follow a link into another folder; InputError."""
     left = (path.relative_to(room / OLD).as_posix() for path in (room / OLD).rglob("*"))
-    parents = {PurePosixPath(name).parent for name in {*plan.leaving, *plan.coming, *left}}
-    for parent in parents:
+    for parent in {PurePosixPath(name).parent for name in {*plan.leaving, *plan.coming, *left}}:
         for place in (Path(), Path(room.name, NEW), Path(room.name, OLD)):
             if through_a_link(folder, (place / parent).as_posix()):
                 raise InputError(str(folder / place / parent), f"is reached through a link; remove {room}")

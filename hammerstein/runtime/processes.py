@@ -1,7 +1,5 @@
 """How processes beside this one begin, with the libraries loaded, and how they end."""
 
-from __future__ import annotations
-
 import gc
 import multiprocessing
 import os

@@ -4,8 +4,6 @@ Linux limits what a container may have by the groups of processes that it belong
 (https://docs.kernel.org/admin-guide/cgroup-v2.html, and cgroup-v1 beside it).
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import os

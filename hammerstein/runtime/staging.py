@@ -5,8 +5,6 @@ place. Who is stopped in between leaves a journal, and the next one who writes t
 undoes it where that cannot be done.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

@@ -184,8 +184,7 @@ class Store:
         except FileNotFoundError:
             return None
         except Exception:  # a damaged file raises nearly anything
-            text = f"{path}: this cache entry was damaged and is computed again"
-            warnings.warn(text, Notice, stacklevel=2)
+            warnings.warn(f"{path}: this cache entry was damaged and is computed again", Notice, stacklevel=2)
             return None
         with contextlib.suppress(OSError):
             os.utime(path)  # the least recently used goes first

@@ -4,8 +4,6 @@ Each kind is a plug-in (``register``, or the entry point group ``hammerstein.blo
 ``[assessment]`` of a scenario file. Runs, reports and baselines only use the interface below.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

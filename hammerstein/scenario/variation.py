@@ -1,7 +1,5 @@
 """What is varied in a scenario: values of any numeric key, and the actuator, drawn near the nominal one."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -1,7 +1,5 @@
 """Compiled time loop of a path that goes round."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Text tables of times and one column for each axis: voltages to play, paths to follow."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 The first part of the file tells its layout; pandas then reads the columns that are wanted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import gzip
@@ -110,7 +108,11 @@ def find_layout(path: Path) -> Layout:
     body = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
     dialect, width, grade = _dialect(body)
     if width == 0:
-        raise InputError(str(path), _without_numbers(body, lines))
+        what = f"has no line of numbers among its first {len(lines)} lines"
+        if len(body) == 1:  # usually a header alone
+            first_words = body[0].strip()[:80]
+            what = f"has one line and no numbers below it: {first_words}; export the samples, too"
+        raise InputError(str(path), what)
     table = [[] if line.lstrip().startswith(COMMENTS) else _fields(line, dialect.separator) for line in lines]
     first = _first_row(table, width, dialect, grade)
     names, units = _header(lines[:first], dialect, width)
@@ -129,13 +131,6 @@ def _packed(path: Path) -> str:
             "is compressed with gzip and was cut short or damaged; copy it again, then decompress it (gunzip)"
         )
     return "is compressed with gzip; decompress it first (gunzip)"
-
-
-def _without_numbers(body: Sequence[str], lines: Sequence[str]) -> str:
-    """Message about a text without numbers in its first lines, usually a header alone."""
-    if len(body) == 1:
-        return f"has one line and no numbers below it: {body[0].strip()[:80]}; export the samples, too"
-    return f"has no line of numbers among its first {len(lines)} lines"
 
 
 def _encoding(head: bytes) -> str:
@@ -160,10 +155,6 @@ def _fields(line: str, separator: str) -> list[str]:
     return [field.strip() for field in next(csv.reader([line], delimiter=separator), [])]
 
 
-def _is_number(field: str, dialect: Dialect) -> bool:
-    return _number(field, dialect) is not None
-
-
 def _number(field: str, dialect: Dialect) -> float | None:
     """Value of a field; None if it is no number."""
     if dialect.grouping and GROUPED[dialect.grouping].match(field):
@@ -186,7 +177,7 @@ def _grade(fields: Sequence[str], dialect: Dialect) -> int:
     A separator at the end of the line opens no column.
     """
     body = fields[:-1] if len(fields) > 1 and fields[-1] == "" else fields
-    numbers = sum(_is_number(field, dialect) for field in body)
+    numbers = sum(_number(field, dialect) is not None for field in body)
     if numbers == 0:
         return 3
     if numbers == len(body):
@@ -235,7 +226,7 @@ def _first_row(table: Sequence[Sequence[str]], width: int, dialect: Dialect, gra
     """First line of the numbers: the first row, or spoiled rows right above it."""
     first = next(k for k, row in enumerate(table) if len(row) == width and _grade(row, dialect) <= grade)
     while first > 0 and len(table[first - 1]) == width:
-        above = [_is_number(field, dialect) for field in table[first - 1]]
+        above = [_number(field, dialect) is not None for field in table[first - 1]]
         if not above[0] and 2 * sum(above) <= width:
             break
         first -= 1
@@ -252,7 +243,7 @@ def _header(lines: Sequence[str], dialect: Dialect, width: int) -> tuple[tuple[s
         names = _words(line.lstrip("\ufeff \t#%"), dialect.separator, width)
         if len(names) != width or not any(names):
             continue
-        if any(_is_number(name, dialect) for name in names):
+        if any(_number(name, dialect) is not None for name in names):
             break
         if not all(is_unit(name) for name in names):
             return tuple(names), units

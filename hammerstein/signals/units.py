@@ -1,7 +1,5 @@
 """Units in the names of columns and in rows of units, and their factors to V, um and s."""
 
-from __future__ import annotations
-
 import re
 from typing import Literal, NamedTuple
 

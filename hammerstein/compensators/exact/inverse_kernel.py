@@ -21,8 +21,6 @@ Applied Mathematics 22 (1972) 307-328 (one sign suffices); Murty, Opsearch 11 (1
 index).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compensators.exact.piece_kernels import (

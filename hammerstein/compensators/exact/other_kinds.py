@@ -1,7 +1,5 @@
 """The exact inverses of generalised, Preisach and rate-dependent hysteresis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -107,8 +105,7 @@ class PreisachInverseLaw(ZonesInverse):
         """See ``ZonesInverse._room``."""
         planes, turns = self.hysteresis.planes, self.hysteresis.rest().x.shape[1]
         largest_v = float(np.maximum(np.abs(planes.low), np.abs(planes.high)).max())
-        zones = most_pieces(int(planes.cells.max()), turns)
-        return zones, largest_v, np.abs(planes.beyond.sum(axis=1))
+        return most_pieces(int(planes.cells.max()), turns), largest_v, np.abs(planes.beyond.sum(axis=1))
 
     def solve(
         self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None

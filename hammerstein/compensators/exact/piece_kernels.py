@@ -29,8 +29,6 @@ What an input moves between two samples follows from ``hand``, the memory of eac
 segments from ``stack``: END, X, D and, from BELOW on, what lies deeper.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -11,8 +11,6 @@ the walk of ``inverse_kernel`` as dead-zones beside a single play of threshold a
   p + R and follow outside.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compensators.exact.inverse_kernel import drift, walk

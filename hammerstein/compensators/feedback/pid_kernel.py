@@ -1,7 +1,5 @@
 """Compiled loops of a law that reads the sensor: one step of the controller, and the whole closed loop."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.blocks.instrument_kernels import converted

@@ -1,7 +1,5 @@
 """The inverse of the whole model: first of its linear block, known ahead, then of its hysteresis."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """For a reference that is known some samples ahead: its low-pass, and the inverse of a linear block."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -122,8 +120,7 @@ class LinearInverse:
     @cached_property
     def large_gain_hz(self) -> tuple[tuple[float, float], ...]:
         """Bands [Hz] in which v must be more than ten times as large as y needs when it stands still."""
-        nyquist = 0.5 / self.block.sample_time_s
-        grid = np.linspace(0.0, nyquist, 4001)[1:-1]
+        grid = np.linspace(0.0, 0.5 / self.block.sample_time_s, 4001)[1:-1]
         gain = np.linalg.norm(np.linalg.inv(self.block.response(grid)), ord=2, axis=(1, 2))
         still = np.linalg.norm(np.linalg.inv(self.block.response(0.0))[0], ord=2)
         large = np.concatenate([[False], gain > LARGE_GAIN * still, [False]])

@@ -1,7 +1,5 @@
 """The inverse of dynamics with hysteresis in their loop, in passes of linearisation, known ahead."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from functools import cached_property
@@ -242,8 +240,7 @@ class LoopInverseLaw(Law[LoopPathState]):
         self.loops, self.loop, self.passes, self.left = self._tried(here)
         self.taps = low_pass_taps(filter_hz, sample_time_s)
         self._early = len(self.taps) // 2 + delay
-        ahead = (1 + self.passes) * self.loop.inverse.reach_samples
-        self.preview_samples = ahead + self._early
+        self.preview_samples = (1 + self.passes) * self.loop.inverse.reach_samples + self._early
         if preview_s is not None and preview_s < self.preview_samples * sample_time_s:
             needed = interval(self.preview_samples * sample_time_s)
             raise InputError("preview_s", f"hysteresis in the loop needs {needed} here, not {preview_s:g}")

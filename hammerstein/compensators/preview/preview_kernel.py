@@ -1,7 +1,5 @@
 """Compiled loops of the inverse of the linear block. Every sum has a fixed order, however long the signal."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded

@@ -1,7 +1,5 @@
 """Identification of a model with hysteresis inside its loop, selected by cross-validation."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time
@@ -165,8 +163,7 @@ class _Work:
         self.trials = [Trial(name, count, np.array(squares)) for name, count, squares in more["trials"]]
         block = _linear(records, len(found.B))[0]
         best = _Best(found, self.trials[-1], more["steps"])
-        periods = settled_periods(records, block.respond)
-        return Found(self._all(best, periods), block, self._marked(best))
+        return Found(self._all(best, settled_periods(records, block.respond)), block, self._marked(best))
 
     def _better(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
         """Search from other parameters if there is time; return the better structure."""
@@ -201,8 +198,7 @@ class _Work:
 
         def tell(progress: Progress) -> None:
             nonlocal found
-            found = progress.found
-            self._keep(best._replace(found=found, steps=best.steps - progress.step - 1))
+            self._keep(best._replace(found=progress.found, steps=best.steps - progress.step - 1))
             left = float(np.sqrt(np.mean(progress.rms**2)))
             self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
             if self._is_late():

@@ -6,8 +6,6 @@ inputs themselves relative to their limits, followed by a 1. The derivative with
 therefore starts from one entry of that row and follows the same linear equations.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled

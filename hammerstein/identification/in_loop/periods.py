@@ -1,7 +1,5 @@
 """Records as experiments of a search for hysteresis in a loop: settled periods, or whole from rest."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -80,8 +78,7 @@ def _period(record: Record) -> int:
 
 def _periods_before(respond: Respond, period: SettledPeriod) -> int:
     """Whole periods after which a block repeats itself: plays remember the largest turns of one."""
-    n = period.u.shape[1]
-    y = respond(np.tile(period.u, MOST_BEFORE + 1))[0].reshape(len(period.y), -1, n)
+    y = respond(np.tile(period.u, MOST_BEFORE + 1))[0].reshape(len(period.y), -1, period.u.shape[1])
     moved = np.abs(y[:, 1:] - y[:, :-1]).max(axis=2) / np.abs(y[:, -1]).max(axis=1, keepdims=True)
     settled = np.flatnonzero((moved < SETTLED).all(axis=0))
     return int(settled[0]) + 1 if len(settled) else MOST_BEFORE

@@ -1,7 +1,5 @@
 """Model and fit report of a search for hysteresis in a loop."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -73,25 +71,18 @@ def result_of(
         amplitude_v=float(swing.max()),
         amplitudes_v=tuple(swing.tolist()),
         voltages=Voltages.of(records[0].rest_v, sent.min(axis=1), sent.max(axis=1)),
-        delay_samples=0.0,
         sample_time_s=one.sample_time_s,
-        sensor_bandwidth_hz=None,
-        sensor_delay_s=0.0,
         offsets_um=offsets(best, records, starts),
         starts=starts,
         held_starts=held_starts,
-        axes=(),
         trials=found.trials,
         order=len(found.loop.B),
-        error_curve=(),
-        not_identifiable=(),
         flags=flags,
         notes=tuple(left_out([*records, *held])),
         invertible=True,
         invertibility=INVERSE,
         verdict=verdict(judged or fitted, bool(judged), flags, kept="in_loop"),
         candidates=candidates,
-        covariance=None,
         records=records,
         held=held,
     )

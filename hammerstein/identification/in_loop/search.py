@@ -1,7 +1,5 @@
 """Search of all numbers at once: Levenberg and Marquardt's steps on the simulated output."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass

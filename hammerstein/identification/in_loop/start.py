@@ -1,7 +1,5 @@
 """Where a search for plays in a loop begins: linear dynamics of the records, and plays of what they move."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
@@ -91,8 +89,7 @@ def with_plays(found: LoopParameters, periods: Sequence[SettledPeriod]) -> LoopP
     wide = np.hstack([r[:, :1] ** 2 / r[:, 1:2], r, r[:, -1:] ** 2 / r[:, -2:-1]])
     more = np.sqrt(wide[:, 1:] * wide[:, :-1])
     beta = _straight(_largest(found, found.F[: len(r)], found.G[: len(r)], periods), more)
-    none = np.zeros(more.shape)
-    numbers = {"r": more, "c": none, "beta": beta}
+    numbers = {"r": more, "c": np.zeros(more.shape), "beta": beta}
     return replace(found, **{name: np.hstack([getattr(found, name), own]) for name, own in numbers.items()})
 
 

@@ -1,7 +1,5 @@
 """Where the search for resonance, lag, creep and delay of each axis begins."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -167,8 +165,7 @@ def checked_delay(
         AxisTask(quick, begun, tuple(grids), o, shape, delay, sensor or SensorModel(), every)
         for o, shape in enumerate(guess.shapes)
     ]
-    attempt = partial(refined_late, tasks)
-    best, found = best_delay(attempt, list(guess.parameters), first=delay, parts=True)
+    best, found = best_delay(partial(refined_late, tasks), list(guess.parameters), first=delay, parts=True)
     return guess if best == delay else replace(guess, parameters=tuple(found), delay_samples=best)
 
 

@@ -14,8 +14,6 @@ damped after Levenberg and Marquardt. The sums over the samples are gathered in 
 does not grow with the record.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

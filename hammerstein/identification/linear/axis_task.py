@@ -257,8 +257,7 @@ class AxisTask:
         """Discrete path of an axis without dynamics: the sensor alone."""
         (_, late), one = self.late(sample_time_s), np.ones((1, 1))
         if self.sensor.bandwidth_hz is None:
-            none = np.empty((0, 0))
-            return held(none, np.empty((0, 1)), np.empty((1, 0)), one, sample_time_s, late)
+            return held(np.empty((0, 0)), np.empty((0, 1)), np.empty((1, 0)), one, sample_time_s, late)
         s = 2.0 * math.pi * self.sensor.bandwidth_hz * one
         return held(-s, s, one, 0.0 * one, sample_time_s, late)
 
@@ -269,8 +268,7 @@ class AxisTask:
 
     def moments(self, filters: Callable[[float], Sequence[ByColumn]], columns: int) -> Moments:
         """Moments of the columns with the output over all records; the filters depend on the sample time."""
-        times = {record.sample_time_s for record in self.records}
-        built = {time: filters(time) for time in times}
+        built = {time: filters(time) for time in {record.sample_time_s for record in self.records}}
         parts = []
         for i, record in enumerate(self.records):
             y, step = record.y_um[[self.output]], self.every
@@ -371,5 +369,4 @@ def axis_of(shape: AxisShape, x: Array) -> Axis:
 
 def parameters_of(axis: Axis) -> tuple[AxisShape, Array]:
     """Shape and parameters of an axis, creep included."""
-    shape = AxisShape(axis.resonance_hz is not None, axis.lag_s is not None, len(axis.creep))
-    return shape, axis.free
+    return AxisShape(axis.resonance_hz is not None, axis.lag_s is not None, len(axis.creep)), axis.free

@@ -1,7 +1,5 @@
 """Creep from a slow record, behind a static block that is known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

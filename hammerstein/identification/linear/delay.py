@@ -1,7 +1,5 @@
 """Delay of the outputs in samples: one search for every kind of fit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar

@@ -4,8 +4,6 @@ The lines at which it can be told come from the excitation itself; where the exp
 inputs independently of each other, no response is invented.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Compiled sum over the lines of the normal equations of a state-space model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hammerstein.compiled import compiled

@@ -121,7 +121,9 @@ class _Place:
     @classmethod
     def of(cls, blocks: _Blocks, lines: WeightedLines) -> _Place:
         """The place of a model; nobody may stand where it is not stable."""
-        return cls(blocks, lines, blocks.cost(lines) if _is_stable(blocks.model.A) else math.inf)
+        A = blocks.model.A
+        is_stable = not len(A) or bool(np.abs(linalg.eigvals(A)).max() < 1.0)
+        return cls(blocks, lines, blocks.cost(lines) if is_stable else math.inf)
 
     @cached_property
     def normal_equations(self) -> tuple[Array, Array]:
@@ -164,10 +166,6 @@ def split(model: Matrices) -> _Blocks:
         B[part] *= balance
         C[:, part] /= balance
     return _Blocks(Matrices(A, B, C, model.D), parts)
-
-
-def _is_stable(A: Array) -> bool:
-    return not len(A) or bool(np.abs(linalg.eigvals(A)).max() < 1.0)
 
 
 def _normal_equations(lines: WeightedLines, blocks: _Blocks) -> tuple[Array, Array]:

@@ -1,7 +1,5 @@
 """A linear state-space model of stated order from a measured frequency response."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

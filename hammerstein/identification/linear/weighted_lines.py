@@ -1,7 +1,5 @@
 """What a linear model is fitted to: responses at points of the unit circle, scaled, warped and weighted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Weights of a Prandtl-Ishlinskii model from one settled loop, in closed form (paper, appendix)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -143,8 +141,7 @@ def closed_form(
         counts = [operators] * p if isinstance(operators, int) else list(operators)
         _refuse_lengths("operators", len(counts), p)
         return [_at_nodes(u, row, nodes_uniform_in_time(n, half)) for n, row in zip(counts, y, strict=True)]
-    grids = _one_each(thresholds_v, p)
-    return [_at_thresholds(u, row, r) for r, row in zip(grids, y, strict=True)]
+    return [_at_thresholds(u, row, r) for r, row in zip(_one_each(thresholds_v, p), y, strict=True)]
 
 
 def rising_branch(u_cycle_v: ArrayLike, y_cycle_um: ArrayLike) -> tuple[Array, Array]:

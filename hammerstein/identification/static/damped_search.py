@@ -3,8 +3,6 @@
 Source: Marquardt, Journal of the Society for Industrial and Applied Mathematics 11 (1963) 431-441.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Thresholds of all inputs fitted to records by alternating exchanges and damped steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

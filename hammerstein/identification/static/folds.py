@@ -1,7 +1,5 @@
 """Cross-validation folds: parts of records that are excluded in turn."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Initial state of a record: rest, a repetition of the record, or unknown."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -114,8 +112,7 @@ def own_starts(
     """
     if mode != "auto":
         return tuple(starts)
-    each = zip(records, starts, strict=True)
-    return tuple(_own(record, start, predict, slow_s) for record, start in each)
+    return tuple(_own(record, start, predict, slow_s) for record, start in zip(records, starts, strict=True))
 
 
 def _own(

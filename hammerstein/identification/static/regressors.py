@@ -145,8 +145,7 @@ class PlayColumns(NamedTuple):
 
     def kept(self) -> PlayColumns:
         """The same in memory, to be gone through many times."""
-        before = tuple(self.before)
-        return PlayColumns(self.held, before, tuple(self.counted))
+        return PlayColumns(self.held, tuple(self.before), tuple(self.counted))
 
     def moving(self) -> tuple[NDArray[np.intp], PlayColumns]:
         """Numbers of the columns that are not zero all the time, and these alone, in memory."""
@@ -200,8 +199,7 @@ class Regressors:
     @classmethod
     def of(cls, u_v: Array, start: InitialState, grids: Sequence[Array], rows: Array) -> Regressors:
         """Sums ``rows`` (column, regressor) of the differences of the plays."""
-        whole = replace(start, first=0)
-        values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, whole, grids)])
+        values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, replace(start, first=0), grids)])
         plays = [start.plays_v(float(u[0]), r, k) for k, (u, r) in enumerate(zip(u_v, grids, strict=True))]
         return cls(values, rows @ _held(plays, None))
 

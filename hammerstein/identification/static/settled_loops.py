@@ -1,7 +1,5 @@
 """The paper's procedure on measured records: one settled loop of each input, then the closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -43,8 +41,7 @@ def closed_form_model(
                 f"the closed form needs a record in which only input {name} is driven over whole "
                 "cycles; record one, or use least squares"
             )
-        largest = max(alone, key=lambda record: float(np.ptp(record.u_v[k])))
-        u, y = mean_cycle(largest, k)
+        u, y = mean_cycle(max(alone, key=lambda record: float(np.ptp(record.u_v[k]))), k)
         grids = None if thresholds_v is None else [row[k] for row in thresholds_v]
         columns.append(closed_form(u, y, operators, thresholds_v=grids))
     rows: list[tuple[Pair, ...]] = [tuple(column[o] for column in columns) for o in range(len(columns[0]))]

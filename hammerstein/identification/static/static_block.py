@@ -171,8 +171,7 @@ def static_moments(
     blocks = [through] * len(records) if isinstance(through, LinearBlock) else through or ()
     parts = []
     for i, (record, start) in enumerate(zip(records, starts, strict=True)):
-        u = delayed(record, start, delay_samples)
-        plays = partial(PlayColumns.of, u, start, grids, with_derivatives)
+        plays = partial(PlayColumns.of, delayed(record, start, delay_samples), start, grids, with_derivatives)
         filters = [path_filters(blocks, i, o, columns, p) for o in range(p)]
         parts.append(_record_moments(record, start, plays, filters, columns, every))
     return [pooled(part) for part in zip(*parts, strict=True)]
@@ -237,7 +236,12 @@ def solve_static(
             _solve_output(layout, o, moment, ridge, bounds_of(solver, layout, o, gains))
             for o, moment in enumerate(moments)
         ]
-    offsets_um = _offsets(layout, moments, solutions)
+    offsets_um = np.column_stack(  # readings (record, output) that belong to an output of zero
+        [
+            moment.means[:, -1] - moment.means[:, :-1] @ (layout.merge[o] @ solution.coefficients)
+            for o, (moment, solution) in enumerate(zip(moments, solutions, strict=True))
+        ]
+    )
     return as_block(thresholds_v, layout, free, solutions, offsets_um, moments[0].samples)
 
 
@@ -359,15 +363,6 @@ def pairs_of(
     errors = np.sqrt(np.sum(factor**2, axis=1))
     pairs = (Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
     return tuple(pairs), WeightCovariance(factor, at_bound)
-
-
-def _offsets(layout: SlopeColumns, moments: Sequence[Moments], solutions: Sequence[Solution]) -> Array:
-    """Readings (record, output) that belong to an output of zero."""
-    columns = [
-        moment.means[:, -1] - moment.means[:, :-1] @ (layout.merge[o] @ solution.coefficients)
-        for o, (moment, solution) in enumerate(zip(moments, solutions, strict=True))
-    ]
-    return np.column_stack(columns)
 
 
 def half_swing(records: Sequence[Record]) -> Array:

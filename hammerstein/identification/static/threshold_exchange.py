@@ -7,8 +7,6 @@ computed once for the fine grid; a play enters or leaves the regression by one s
 (Goodnight, Am. Stat. 33 (1979) 149-158).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

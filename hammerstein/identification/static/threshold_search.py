@@ -11,8 +11,6 @@ a play was last moved upwards, 1 after downwards and 0 before it was moved; it p
 outputs share the thresholds, so that their normal equations are summed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

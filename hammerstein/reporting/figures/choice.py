@@ -23,6 +23,7 @@ from hammerstein.experiment.report import (
     told_apart,
 )
 from hammerstein.metrics import Row
+from hammerstein.quantities import by_key
 from hammerstein.reporting.figures.loops import (
     MOST_CURVES,
     error_runs,
@@ -216,9 +217,7 @@ def _traced(report: Report, whole: bool = False) -> dict[str, Figure]:
 def explored_figures(report: Report) -> tuple[dict[str, Figure], dict[str, dict[str, Figure]]]:
     """Figures to zoom into: curves over what is swept, and loops or paths at each swept value, by name."""
     over = swept_over(report, 2)
-    groups: dict[str, list[Trace]] = {}
-    for trace in report.traces:
-        groups.setdefault(swept_label(trace, report.scenario.sweep), []).append(trace)
+    groups = by_key(report.traces, lambda trace: swept_label(trace, report.scenario.sweep))
     names = list(groups)
     if len(names) > MOST_SHOWN_VALUES:
         names = [
@@ -274,8 +273,7 @@ def _drift(report: Report) -> dict[str, Figure]:
 def _loops(report: Report, whole: bool) -> dict[str, Figure]:
     volts = report.scenario.drive is not None
     role, unit = _driven_quantity(report)
-    names = report.inputs if volts else report.axes
-    driven = [symbol(name, role) for name in names]
+    driven = [symbol(name, role) for name in (report.inputs if volts else report.axes)]
     inputs = [f"{role} {name} [{unit}]" for name in driven]
     true, quantity = _shown_quantity(report)
     outputs = [f"{quantity.split()[-1]} {symbol(name, 'reading')} [µm]" for name in report.axes]
@@ -441,8 +439,7 @@ def path_runs_of(report: Report, trace: Trace, true: bool) -> Iterator[PathRun]:
     """Position or reading of a compensator against its reference, or predictions against the reading."""
     response, signal, time_s = trace.response, trace.signal, trace.time_s
     group = swept_label(trace, report.scenario.sweep)
-    length = float(np.ptp(time_s))
-    period = signal.period_s if signal.repeats else length
+    period = signal.period_s if signal.repeats else float(np.ptp(time_s))
     lap = 1.0 / signal.highest_frequency_hz if signal.smooth else 0.0
     drawn: dict[str, Any] = {"period_s": period, "closes": signal.repeats, "lap_s": lap}
     if response.reference_um is not None:

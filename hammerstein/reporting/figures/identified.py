@@ -215,8 +215,7 @@ def spectrum(error_um: Array, sample_time_s: float) -> tuple[Array, Array]:
     frequency = np.fft.rfftfreq(len(error_um), sample_time_s)[1:]
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, LINES)
     band = np.searchsorted(edges, frequency, side="right")
-    bands = np.unique(band)
-    peaks = np.array([np.flatnonzero(band == b)[np.argmax(amplitude[band == b])] for b in bands])
+    peaks = np.array([np.flatnonzero(band == b)[np.argmax(amplitude[band == b])] for b in np.unique(band)])
     return frequency[peaks], np.maximum(amplitude[peaks], LEAST)
 
 

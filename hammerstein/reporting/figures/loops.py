@@ -293,8 +293,7 @@ def loop_of(trace: Trace, label: str, driven: int, true: bool = False) -> LoopRu
     response = trace.response
     wire = response.drive_v if response.reference_um is None else response.reference_um
     shown = trace.predictions if len(trace.predictions) <= MOST_OVERLAYS else ()
-    measured = response.position_um if true else response.reading_um
-    outputs = [measured, *(p.reading_um for p in shown)]
+    outputs = [response.position_um if true else response.reading_um, *(p.reading_um for p in shown)]
     cycle = _closed_cycle(trace, np.vstack([wire[driven], *outputs]))
     means = np.split(cycle[1:], len(outputs))
     predictions = tuple((p.label, mean) for p, mean in zip(shown, means[1:], strict=True))
@@ -350,7 +349,10 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
             label = f"{loop.amplitude_v:.3g} V" + (f", {name}" if len(records) > 1 else "")
             runs.append(LoopRun(label, driven, record.u_v[driven, part], record.y_um[:, part]))
         if not table and move_at_once(record):
-            runs += list(_at_once(record, name if len(records) > 1 else ""))
+            for k in driven_inputs(record):
+                if cycle := widest_cycle(record, k, alone=False):
+                    label = AT_ONCE + (f", {name}" if len(records) > 1 else "")
+                    runs.append(LoopRun(label, k, record.u_v[k, cycle], record.y_um[:, cycle]))
     if not runs:
         return None
     first = records[0]
@@ -359,14 +361,6 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
         [axis_label(name, "V") for name in first.inputs],
         [axis_label(name, "µm") for name in first.outputs],
     )
-
-
-def _at_once(record: Record, name: str) -> Iterator[LoopRun]:
-    """Last widest cycle of each input, the others in motion."""
-    for k in driven_inputs(record):
-        if part := widest_cycle(record, k, alone=False):
-            label = ", ".join(word for word in (AT_ONCE, name) if word)
-            yield LoopRun(label, k, record.u_v[k, part], record.y_um[:, part])
 
 
 def file_labels(sources: Sequence[str]) -> list[str]:
@@ -383,8 +377,7 @@ def file_labels(sources: Sequence[str]) -> list[str]:
 
 def chosen_loops(table: Sequence[Loop]) -> Iterator[Loop]:
     """One loop for each amplitude that differs by more than a tenth, of the output that answers most."""
-    inputs = dict.fromkeys(loop.input for loop in table)
-    for name in inputs:
+    for name in dict.fromkeys(loop.input for loop in table):
         direct = max((loop for loop in table if loop.input == name), key=lambda loop: loop.height_um).output
         own = [loop for loop in telling_loops(table) if (loop.input, loop.output) == (name, direct)]
         own.sort(key=lambda loop: (-loop.amplitude_v, not loop.settled, -loop.start))

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.regression.compare import Key, Numbers, all_tolerances, deviation, limit, tolerance_of
+from hammerstein.quantities import by_key
+from hammerstein.regression.compare import Numbers, all_tolerances, deviation, limit, tolerance_of
 from hammerstein.reporting.figures.style import (
     PALE,
     WIDTH_IN,
@@ -82,9 +83,7 @@ def courses_of(
     """Courses of a number that both sides have, the one that moved most first."""
     both = [key for key in accepted if metric in accepted[key] and metric in now.get(key, {})]
     swept = next((name for name in SWEPT if len({dict(key).get(name) for key in both}) > 1), None)
-    groups: dict[Key, list[Key]] = {}
-    for key in both:
-        groups.setdefault(tuple(item for item in key if item[0] != swept), []).append(key)
+    groups = by_key(both, lambda key: tuple(item for item in key if item[0] != swept))
     tolerance = tolerance_of(metric, all_tolerances(tolerances))
     same = set.intersection(*map(set, groups)) if len(groups) > 1 else set()
     found = []

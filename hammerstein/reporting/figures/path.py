@@ -120,13 +120,17 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
     title : written above the legend
     """
     with styled():
-        group = _largest_group(runs)
+        sizes: dict[str, float] = {}  # of the groups
+        for run in runs:
+            path = run.output_um if run.target_um is None else run.target_um
+            sizes[run.group] = max(sizes.get(run.group, 0.0), float(np.abs(path).max()))
+        group = max(sizes, key=sizes.__getitem__)
         largest = [run for run in runs if run.group == group]
         parts, pens = _parts(runs), _pens(runs)
         figure, planes, traces = _layout(len(axes_names), len(parts))
         curves = 3 * len(runs) + len(largest) * len(traces) + len(planes) + len(traces)
         most = MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
-        told_apart = _of_different_sizes(runs)
+        told_apart = all(b > APART * a for a, b in itertools.pairwise(sorted(sizes.values())))
         lines: dict[str, Artist] = {}
         for plane, labels in zip(planes, parts, strict=False):
             inside = [run for run in (runs if told_apart else largest) if run.label in labels]
@@ -154,7 +158,8 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
     where one curve would hide another.
     """
     groups, parts = list(dict.fromkeys(run.group for run in runs)), _parts(runs)
-    labels = _error_labels(axes_names)
+    length = "distance" if len(axes_names) > 1 else "size of error"
+    labels = [f"{length} [µm]", *(f"{symbol(name, 'error')} [µm]" for name in axes_names)]
     rows = [(part, 0) for part in parts] if len(parts) > 1 else [(parts[0], k) for k in range(len(labels))]
     with styled():
         high, wide = (len(rows), len(groups)) if len(groups) > 1 else side_by_side(len(rows))
@@ -169,16 +174,14 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
         for (row, column), axes in np.ndenumerate(panels):
             part, quantity = rows[row]
             inside = [run for run in runs if run.group == groups[column] and run.label in part]
-            wires = [run.errors()[quantity] for run in inside]
-            lines |= _draw_over_time(axes, inside, wires, pens, most)
+            lines |= _draw_over_time(axes, inside, [run.errors()[quantity] for run in inside], pens, most)
             few_ticks(axes)
             axes.set_ylabel(in_lines(labels[quantity], UPRIGHT_LETTERS))
             axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
             letter(axes, row * len(groups) + column, groups[column])
             if quantity == 0:
                 _scale_distance(axes, runs)
-        entries = {_entry(label, runs, runs): line for label, line in lines.items()}
-        legend_above(figure, entries, title)
+        legend_above(figure, {_entry(label, runs, runs): line for label, line in lines.items()}, title)
     return figure
 
 
@@ -187,12 +190,6 @@ def _parts(runs: Sequence[PathRun]) -> list[list[str]]:
     labels = list(dict.fromkeys(run.label for run in runs))
     panels = math.ceil(len(labels) / MOST_OF_A_PANEL)
     return [part.tolist() for part in np.array_split(np.array(labels, dtype=object), panels)]
-
-
-def _error_labels(axes_names: Sequence[str]) -> list[str]:
-    """Label beside each panel of errors."""
-    length = "distance" if len(axes_names) > 1 else "size of error"
-    return [f"{length} [µm]", *(f"{symbol(name, 'error')} [µm]" for name in axes_names)]
 
 
 def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
@@ -207,23 +204,6 @@ def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
         }
         for i, label in enumerate(labels)
     }
-
-
-def _largest_group(runs: Sequence[PathRun]) -> str:
-    def size(run: PathRun) -> float:
-        return float(np.abs(run.output_um if run.target_um is None else run.target_um).max())
-
-    return max(runs, key=size).group
-
-
-def _of_different_sizes(runs: Sequence[PathRun]) -> bool:
-    """Whether the paths of the groups differ in size, so that the plane distinguishes them."""
-    sizes: dict[str, float] = {}
-    for run in runs:
-        path = run.output_um if run.target_um is None else run.target_um
-        sizes[run.group] = max(sizes.get(run.group, 0.0), float(np.abs(path).max()))
-    ordered = sorted(sizes.values())
-    return all(b > APART * a for a, b in itertools.pairwise(ordered))
 
 
 def _layout(n_axes: int, n_parts: int) -> tuple[Figure, list[Axes], list[Axes]]:

@@ -98,8 +98,7 @@ def sweep_figure(
         groups = [part.tolist() for part in np.array_split(np.arange(len(curves)), count)]
         lines, across = (rows, columns) if columns > 1 else side_by_side(rows)
         shape = ALONE if len(groups) == 1 else IN_ROWS
-        height_in = len(groups) * lines * WIDTH_IN / max(columns, 2) * shape
-        figure = new_figure(0.9 + height_in, across)
+        figure = new_figure(0.9 + len(groups) * lines * WIDTH_IN / max(columns, 2) * shape, across)
         grid = figure.subplots(len(groups) * lines, across, squeeze=False, sharex=True, sharey=True)
         cells = grid.reshape(len(groups), -1)
         for axes in cells[:, rows * columns :].flat:
@@ -116,8 +115,10 @@ def sweep_figure(
         _scale(panels, curves)
         for own, row in zip(groups, panels, strict=True):
             _draw_bands(row, [(number, curves[number]) for number in own])
-        _fit_to_all(panels)
         for number, axes in enumerate(panels.flat):
+            if axes.get_yscale() == "linear":
+                axes.set_ylim(bottom=0.0)
+            axes.margins(x=0.02, y=0.08)  # about all that is drawn, bands included
             o, k = divmod(number % (rows * columns), columns)
             letter(axes, number, panel_titles[o][k])
             axes.set(xlabel=x_label, ylabel=quantity)
@@ -129,8 +130,7 @@ def sweep_figure(
 def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) -> Artist:
     """One curve in one panel, with its mark."""
     style, values = line_style(number) | {"label": plain(curve.label)}, curve.values[output, input_]
-    markers = sparse_markers(len(values), number, markers=9)
-    (line,) = axes.plot(curve.x, values, markevery=markers, **style)
+    (line,) = axes.plot(curve.x, values, markevery=sparse_markers(len(values), number, markers=9), **style)
     mark = _mark(curve)
     if mark is not None:
         logarithms = np.log(np.maximum(values, 1e-12))
@@ -154,8 +154,7 @@ def _draw_bands(panels: np.ndarray, curves: Sequence[tuple[int, SweepCurve]]) ->
                     axes.plot(curve.x, nominal, linewidth=NOMINAL_WIDTH, **pen)
                 continue
             x = _beside(axes, curve.x, place - 0.5 * (len(banded) - 1))
-            none = np.full_like(x, np.nan)
-            bars = np.array([low, high, none]).T.ravel()
+            bars = np.array([low, high, np.full_like(x, np.nan)]).T.ravel()
             axes.plot(np.repeat(x, 3), bars, linewidth=BAR_WIDTH, **pen)
             if nominal is not None:
                 axes.plot(x, nominal, linestyle="none", marker="D", markersize=3.0, **pen)
@@ -216,11 +215,3 @@ def log_where_wide(axes: Axes, values: Array) -> None:
     if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
         axes.set_yscale("log")
         plain_numbers(axes.yaxis)
-
-
-def _fit_to_all(panels: np.ndarray) -> None:
-    """Limits about all that is drawn, bands included; linear axes begin at 0."""
-    for axes in panels.flat:
-        if axes.get_yscale() == "linear":
-            axes.set_ylim(bottom=0.0)
-        axes.margins(x=0.02, y=0.08)
