@@ -142,6 +142,7 @@ class RecordFiles:
             doubtful_clocks,
             doubtful_gains,
             doubtful_jumps,
+            doubtful_order,
             doubtful_responses,
             doubtful_units,
             pair_gains,
@@ -151,6 +152,8 @@ class RecordFiles:
             for clock in doubtful_clocks(records):
                 complain(clock)
         gains = pair_gains(records)
+        for order in doubtful_order(gains):
+            complain(f"{order}: if columns were exchanged, correct --inputs, --outputs or the files")
         if self.accept_gain:
             return gains
         doubts = [*doubtful_responses(records)]

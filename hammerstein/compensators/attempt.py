@@ -141,6 +141,16 @@ def model_error_um(model: HammersteinModel) -> Array | None:
     return np.asarray(0.01 * np.array(verdict.nrmse_percent) * travel)
 
 
+def model_statement(model: HammersteinModel) -> str:
+    """Error of the model, which comes on top of that of a drive for the model."""
+    own = model_error_um(model)
+    if own is None or model.verdict is None:
+        return "The error of the model comes on top; it is untested."
+    each = ", ".join(f"{um:.2g} um rms on {name}" for name, um in zip(model.outputs, own, strict=True))
+    records = "validation records" if model.verdict.held_out else "fitted records, more on others"
+    return f"The error of the model comes on top: {each} ({records})."
+
+
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Contributions to the rms error of a drive, each (p,) in um; all but the path's are from the model file.
@@ -213,7 +223,8 @@ class Prediction:
         parts += ["rest position untested"] if self.rest is None else [f"rest position {self.rest[o]:.2g}"]
         parts += [f"converter step {self.converter[o]:.2g}"] if self.converter[o] else []
         parts += [f"sensor noise {self.noise:.2g}"] if self.noise else []
-        return f"{name} {self.rms_um[o]:.2g} um{more} ({', '.join(parts)})"
+        least = "" if self.validated else "at least "
+        return f"{name} {least}{self.rms_um[o]:.2g} um{more} ({', '.join(parts)})"
 
 
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0  # frequencies tried, and how far below Nyquist

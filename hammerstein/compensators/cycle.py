@@ -11,7 +11,7 @@ import numpy as np
 from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.attempt import drive_within, sensorless_law
+from hammerstein.compensators.attempt import drive_within, model_statement, sensorless_law
 from hammerstein.compensators.drive_file import (
     Terms,
     allowed_range,
@@ -102,7 +102,7 @@ class Cycle:
         start = ", ".join(f"{value:g}" for value in self.limits.start_v)
         nominal = (
             f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
-            f"first period after the run-up, with ringing, {first}."
+            f"first period after the run-up, with ringing, {first}. {model_statement(self.model)}"
         )
         said = [
             f"Model {self.source} ({self.model.origin}). One settled period of {self.period_s:.6g} s "

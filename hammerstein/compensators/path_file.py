@@ -20,6 +20,7 @@ from hammerstein.signals.units import displacement_factor, unit_in
 LEAST_SHARE, MOST_SHARE = 0.01, 10.0
 """Parts of the model's travel between which a path without a unit is taken to be in um."""
 
+OWN = ("drive_", "predicted_")  # columns of a drive file, whose reference may be a path
 GAP, GAPS = 1.5, 0.01
 """Steps of time in medians of a path from which they are gaps, and the part of the steps that may be."""
 
@@ -179,7 +180,14 @@ def read_path(
     grid = times[0] + np.arange(samples) * sample_time_s
     same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)
     reference = values if same else np.stack([np.interp(grid, times, row) for row in values])
-    return grid, np.ascontiguousarray(reference), "" if same else _resampled(times, sample_time_s)
+    unused = [name for name in others if word == "reference" and not name.startswith(OWN)]
+    said = (
+        [f"Columns of the path that are no output of the model are not used: {', '.join(unused)}."]
+        if unused
+        else []
+    )
+    said += [] if same else [_resampled(times, sample_time_s)]
+    return grid, np.ascontiguousarray(reference), " ".join(said)
 
 
 def _resampled(times: Array, sample_time_s: float) -> str:

@@ -150,11 +150,13 @@ def _proposal(settings: Settings) -> str:
     """What to try against an error far above the noise: no promise that it helps."""
     if tried := untried(settings):
         return f"Not tried: {'; or '.join(tried)}"
-    kinds = "hammerstein compare tries every kind on these records; " if settings.hysteresis == PLAYS else ""
-    return (
-        f"{kinds}use records with fewer effects at once (slower, one axis at a time): this kind of "
-        "model has no saturation and no coupled resonances"
+    fewer = (
+        "use records with fewer effects at once (slower, one axis at a time): this kind of model has no "
+        "saturation and no coupled resonances"
     )
+    if settings.hysteresis == PLAYS:
+        return f"hammerstein compare tries every kind on these records; {fewer}"
+    return fewer.capitalize()
 
 
 def record_flags(

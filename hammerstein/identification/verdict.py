@@ -58,7 +58,9 @@ the model: it lowers the error from 7.4 to 0.8 %.
         sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
     elif "in_loop" in errors:
         sentences.append(_improves("Hysteresis in the loop", errors["linear_dynamics"], errors["in_loop"]))
-    elif {"classical", "hammerstein"} <= errors.keys():
+    elif {"classical", "hammerstein"} <= errors.keys() and lowers(
+        errors["classical"], errors["static_hysteresis"], IMPROVED
+    ):  # plays that were fitted anew may be no better than static ones with thresholds of their own
         sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["classical"]))
     else:
         sentences.append(_improves("Hysteresis", errors["linear"], errors["static_hysteresis"]))

@@ -29,6 +29,8 @@ SUDDEN = 4.0
 """How many times the usual large step of that output, and the largest of any voltage, it then is."""
 USUAL = 0.98
 """Part of the steps that are no larger than the usual large one."""
+CROSSED = 2.0
+"""Gain of the strongest input of an output over that of its own, from which columns may be exchanged."""
 SWING = 0.05
 """Part of the range that a voltage goes back where it turns."""
 
@@ -223,6 +225,32 @@ def doubtful_units(gains: Sequence[Gain]) -> list[str]:
 
 def _travel(um: float) -> str:
     return f"{1e-3 * um:.4g} mm" if um > SURE_TRAVEL_UM else f"{um:.3g} um"
+
+
+def doubtful_order(gains: Sequence[Gain]) -> list[str]:
+    """A sentence where every output follows the input of another one: its columns may be exchanged.
+
+    Examples
+    --------
+    >>> crossed = [("u", "x", 0.3), ("u", "y", 5.0), ("v", "x", 6.0), ("v", "y", 0.2)]
+    >>> print(doubtful_order([Gain(u, y, 20.0, 100.0, gain) for u, y, gain in crossed])[0])
+    x follows v (6 um/V; 0.3 um/V with u), y follows u (5 um/V; 0.2 um/V with v)
+    """
+    inputs = list(dict.fromkeys(gain.input for gain in gains))
+    outputs = list(dict.fromkeys(gain.output for gain in gains))
+    if len(inputs) != len(outputs) or len(gains) != len(inputs) ** 2:
+        return []
+    size = {(gain.input, gain.output): gain.um_per_v for gain in gains}
+    found = {y: max(inputs, key=lambda u: abs(size[u, y])) for y in outputs}
+    each = list(zip(inputs, outputs, strict=True))
+    own = [CROSSED * abs(size[u, y]) < abs(size[found[y], y]) for u, y in each]
+    if not all(own) or len(set(found.values())) < len(outputs):
+        return []
+    words = (
+        f"{y} follows {found[y]} ({size[found[y], y]:.3g} um/V; {size[u, y]:.3g} um/V with {u})"
+        for u, y in each
+    )
+    return [", ".join(words)]
 
 
 def _strongest(gains: Sequence[Gain]) -> list[Gain]:

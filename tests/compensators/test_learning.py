@@ -372,7 +372,8 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
     np.testing.assert_allclose(kept, best, atol=1e-9)
     said = [line for line in (tmp_path / "next_0.csv").read_text().splitlines() if line.startswith("# ")]
     assert not any("if the actuator equals the model" in line for line in said)  # it does not
-    assert any("if the actuator equals the model" in line for line in first.read_text().splitlines())
+    (line,) = [line for line in first.read_text().splitlines() if "if the actuator equals the model" in line]
+    assert "The error of the model comes on top; it is untested." in line
     table = tmp_path / "table.csv"
     asked = ("--learn", drive, measured, "--table", "csv", "--table-points", "125", "--out", table)
     assert _call("compensate", "duo_bimorph", path, *asked) == 0

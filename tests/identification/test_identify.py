@@ -252,6 +252,23 @@ def test_verdict_speaks_of_what_it_compares():
     assert asked["hammerstein"] == verdict(scores, True, (), "auto", "hammerstein")
 
 
+@pytest.mark.parametrize(("plays", "improve"), [(0.4, True), (0.84, False)])
+def test_dynamics_behind_another_hysteresis_are_not_judged_by_plays_that_were_fitted_roughly(plays, improve):
+    """They "did not improve the model" where they took its error from 0.76 to 0.17 %."""
+    scores = {
+        "linear": Score((2.4,), (1.0,), (30.0,)),
+        "static_hysteresis": Score((0.72,), (0.3,), (9.0,)),
+        "classical": Score((plays,), (0.4,), (10.0,)),
+        "hammerstein": Score((0.17,), (0.1,), (2.9,)),
+    }
+    said = verdict(scores, True, ())
+    assert ("The linear dynamics improve the model" in said) == improve
+    assert "dynamics do not improve" not in said
+    assert (
+        f"Hysteresis beyond plays improves the model: it lowers the error from {plays:g} to 0.17 %." in said
+    )
+
+
 def test_a_linear_block_without_inverse_is_blamed_with_its_frequency():
     z = np.exp(2j * np.pi * 100.0 * 1e-3)  # a zero on the unit circle at 100 Hz
     c = [[-2.0 * z.real, 1.0]]

@@ -9,7 +9,14 @@ from record_cases import TIME, N, U, X, message, read, table_text
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import play
-from hammerstein.records.gains import Gain, doubtful_clocks, doubtful_gains, doubtful_jumps, pair_gains
+from hammerstein.records.gains import (
+    Gain,
+    doubtful_clocks,
+    doubtful_gains,
+    doubtful_jumps,
+    doubtful_order,
+    pair_gains,
+)
 from hammerstein.records.readers import read_columns
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
@@ -153,6 +160,21 @@ def test_gains_of_all_pairs_and_doubts():
 @pytest.mark.parametrize(("um_per_v", "doubted"), [(9e-4, 1), (1.5e-3, 0), (900.0, 0), (1100.0, 1)])
 def test_a_gain_is_doubted_where_no_actuator_has_it(um_per_v, doubted):
     assert len(doubtful_gains([Gain("u", "x", 100.0, 100.0 * um_per_v, -um_per_v)])) == doubted
+
+
+@pytest.mark.parametrize("turn", [1, 2])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_outputs_that_follow_the_inputs_of_others_are_named(turn, sign):
+    """Exchanged columns passed as an excellent fit, and its drives missed by all of the travel."""
+    rng = np.random.default_rng(3)
+    u = rng.uniform(-10.0, 10.0, (3, 4000))
+    own = np.diag([5.0, 6.0, 7.0]) * sign + 0.3
+    plain, crossed = ([Record(u, gains @ u, 1e-3)] for gains in (own, np.roll(own, turn, axis=0)))
+    assert doubtful_order(pair_gains(plain)) == []
+    (said,) = doubtful_order(pair_gains(crossed))
+    assert said.count(" follows ") == 3
+    two = [Record(u[:2], own[[0, 0], :2] @ u[:2], 1e-3)]  # both follow the first input
+    assert doubtful_order(pair_gains(two)) == []
 
 
 def test_a_column_is_found_without_its_unit(tmp_path):
