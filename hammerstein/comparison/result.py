@@ -99,7 +99,7 @@ class Compared:
     fitted_at, held_at : the same errors for the records at each frequency [Hz]
     folds_percent : cross-validation error on the fitted records in percent of the range; it decides the
         recommendation
-    as_good : whether that is within 2 % or one standard error of the least
+    as_good : whether that is close to the least, by ``RULE``
     seconds : identification time with that of the plays before it [s]; models of one kind share it
     ns_a_sample : time of one sample of the model, all outputs together [ns]
     has_inverse : whether a compensator inverts it exactly

@@ -120,15 +120,11 @@ def chosen(trials: Sequence[Trial]) -> int:
     >>> chosen([Trial("exact", 9, 1e-24 * squares), Trial("exact to rounding", 5, 1e-18 * squares)])
     1
     """
-    best = least(trials)
-    most = (1.0 + MOST_WORSE) ** 2 * trials[best].mean
-    if not np.isfinite(most):
-        return best
-    chance = as_good(trials)
-    close = [i for i in chance if trials[i].mean <= most]
+    close = as_good(trials)
     usable = [i for i in close if trials[i].usable]
     if not usable:
-        usable = sorted((i for i in chance if trials[i].usable), key=lambda i: trials[i].mean)[:1]
+        chance = [i for i in _by_chance(trials) if trials[i].usable]
+        usable = sorted(chance, key=lambda i: trials[i].mean)[:1]
     return min(usable or close, key=lambda i: trials[i].parameters)
 
 
@@ -139,6 +135,15 @@ def least(trials: Sequence[Trial]) -> int:
 
 
 def as_good(trials: Sequence[Trial]) -> list[int]:
+    """Trials whose rms error is ``CLOSE`` to the least, itself among them."""
+    best = trials[least(trials)]
+    chance = _by_chance(trials)
+    if not np.isfinite(best.mean):
+        return chance
+    return [i for i in chance if trials[i].mean <= (1.0 + MOST_WORSE) ** 2 * best.mean]
+
+
+def _by_chance(trials: Sequence[Trial]) -> list[int]:
     """Trials whose error is within one standard error of the least or hardly above it, itself among them."""
     i = least(trials)
     best = trials[i]

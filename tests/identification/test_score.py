@@ -6,6 +6,7 @@ import pytest
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.linear.delay import best_delay
+from hammerstein.identification.model_selection import Trial, as_good, chosen
 from hammerstein.identification.operators import CurvePoint, enough_operators
 from hammerstein.identification.score import Candidate, rest_errors, score
 from hammerstein.identification.static.fitted_thresholds import gained
@@ -70,3 +71,16 @@ def test_a_longer_delay_must_take_a_percent_away(less, delay):
 def test_operators_are_enough_within_two_percent_of_the_least():
     curve = [CurvePoint(n, (error,)) for n, error in ((4, 0.9), (8, 0.83), (10, 0.815), (15, 0.8))]
     assert enough_operators(curve) == 10
+
+
+@pytest.mark.parametrize(
+    ("worse", "unsure", "good"),
+    [(1.01, 0.0, True), (1.04, 0.0, False), (1.04, 2.0, True), (1.2, 2.0, False)],
+)
+def test_as_good_is_what_the_choice_takes_for_as_good(worse, unsure, good):
+    """Rms error within 2 % of the least, or 5 % and one standard error; 33 % more passed as "as good"."""
+    best = np.array([2.0, 2.4, 1.6, 2.0])
+    more = worse**2 * best + unsure * np.array([1.0, -1.0, 1.0, -1.0])
+    trials = [Trial("smaller", 5, more), Trial("least", 9, best)]
+    assert as_good(trials) == ([0, 1] if good else [1])
+    assert chosen(trials) == (0 if good else 1)
