@@ -116,6 +116,8 @@ EXACT = 1e-12
 """Error below which a fit is exact [um]."""
 PLAYS = 8
 """Of the fit by which samples are judged."""
+BRIEF = 3
+"""Samples that are more than a spike has."""
 ROUNDS = 4
 """A fit without the outliers may find further ones."""
 
@@ -225,16 +227,39 @@ def _ratio(errors: Array, others: Array) -> float:
 
 def _confirmed(u: Array, y: Array, suspects: Flags) -> tuple[Flags, Array]:
     """Suspects that a fit without them misses, again with those that it does not miss (redescending)."""
-    lost = suspects
+    lost, smooth = suspects, _smooth(u)
     for _ in range(ROUNDS):
         fit = _fit(u, y, lost)
-        error = np.abs(y - fit)
-        limit = SURE * _level(error, lost, 1.0 - USUAL) + SMALLEST * np.ptp(fit, axis=1)
-        again = suspects & (error > limit[:, None])
+        error, kinks = np.abs(y - fit), _kinks(y - fit)
+        least = SMALLEST * np.ptp(fit, axis=1)
+        limits = [SURE * _level(what, lost, 1.0 - USUAL) + least for what in (error, kinks)]
+        again = suspects & ((error > limits[0][:, None]) | smooth & (kinks > limits[1][:, None]))
         if (again == lost).all():
             break
         lost = again
     return lost, fit
+
+
+def _kinks(x: Array) -> Array:
+    """Distance of each sample (row, sample) from those BRIEF before and behind; 0 where these differ more."""
+    wide = np.pad(x, ((0, 0), (BRIEF, BRIEF)), mode="edge")
+    before, behind = wide[:, : -2 * BRIEF], wide[:, 2 * BRIEF :]
+    away = np.abs(x - 0.5 * (before + behind))
+    return np.where(np.abs(behind - before) <= away, away, 0.0)
+
+
+def _smooth(u: Array) -> Flags:
+    """Samples (sample,) at and before which no voltage jumps.
+
+    There no actuator moves away and back within fewer samples than BRIEF by itself. So the error of such a
+    spike is compared with that around it: a fit without the resonance misses some motion by as much.
+    """
+    size = np.abs(np.diff(u, axis=1, prepend=u[:, :1]))
+    sharp = np.any(size > JUMP * np.quantile(size, 1.0 - 2.0 * USUAL, axis=1)[:, None], axis=0)
+    smooth = np.ones(len(sharp), dtype=bool)
+    for k in np.flatnonzero(sharp).tolist():
+        smooth[max(k - BRIEF, 0) : k + LAGS[-1] + 1] = False
+    return smooth
 
 
 def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> list[Mistake]:
@@ -288,10 +313,12 @@ def _all_suspects(x: Array) -> Flags:
     jumps = jumps[_stand_out(size, jumps)]
     if 0 < jumps.size <= 4.0 * MOST * len(x) + 4:
         longest = max(LONGEST * len(x), 3.0)
-        for a, b in pairwise(jumps):
-            away_and_back = steps[a] * steps[b] < 0.0 and b - a <= longest
+        taken: set[int] = set()  # by a shorter excursion: what lies between two spikes is none
+        for a, b in sorted(pairwise(jumps.tolist()), key=lambda ends: ends[1] - ends[0]):
+            away_and_back = steps[a] * steps[b] < 0.0 and b - a <= longest and taken.isdisjoint((a, b))
             if away_and_back and abs(x[b + 1] - x[a]) < 0.5 * min(size[a], size[b]):
                 suspects[a + 1 : b + 1] = True
+                taken |= {a, b}
     return suspects
 
 

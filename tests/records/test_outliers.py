@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.signal import chirp, cont2discrete, lfilter
+from scipy.signal import chirp, cont2discrete, lfilter, lsim, sawtooth
 
 from hammerstein.records.outliers import Outliers, without_outliers
+from hammerstein.signals import smooth_step
 
 U = 10.0 * np.sin(np.linspace(0.0, 40.0, 4000))[None]
 
@@ -141,3 +142,23 @@ def test_a_record_may_begin_with_what_stands_for_nothing(ranges, is_one, scale):
     y = 5.0 * U
     y[0, :9] = y.max() + ranges * np.ptp(y)
     assert np.flatnonzero(without_outliers(U, scale * y).lost_y[0]).tolist() == [*range(9)] * is_one
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_spikes_are_found_where_a_resonance_moves_as_far(seed):
+    """Twenty of a quarter of the range; no fit without dynamics follows the multisine behind."""
+    rng = np.random.default_rng(seed)
+    t = 1e-4 * np.arange(12_000)
+    f = np.arange(5.0, 900.0, 5.0)
+    u = np.cos(2.0 * np.pi * f * t[:, None] + rng.uniform(0.0, 2.0 * np.pi, f.size)).sum(axis=1)
+    u[:8000] = 4.0 * np.abs(u).max() * sawtooth(2.0 * np.pi * 5.0 * t[:8000], 0.5)
+    u[8000:] *= smooth_step((t[8000:] - t[8000]) / 0.02)
+    _, y, _ = lsim(([1.0], [1 / 1200.0**2, 0.03 / 1200.0, 1.0]), u, t)
+    y += 1e-3 * np.ptp(y) * rng.standard_normal(t.size)
+    places = np.sort(rng.choice(np.arange(100, 11_900, 7), 20, replace=False))
+    spiked = y.copy()
+    spiked[places] += 0.25 * np.ptp(y) * rng.choice([-1.0, 1.0], 20)
+    assert not without_outliers(u[None], y[None]).lost_y.any()
+    found = np.flatnonzero(without_outliers(u[None], spiked[None]).lost_y[0])
+    assert set(places) - set(found) == set()
+    assert len(found) <= 22
