@@ -373,6 +373,8 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
         if apart_v <= same_v:
             # where samples miss the tips, voltages differ a little: twice the mean slope of that is no drift
             explained = apart_v * loop.height_um / loop.amplitude_v
+            if sign < 0.0 and abs(loop.closure_um) <= limit + explained < abs(loops[other].closure_um):
+                break  # the cycle before began from rest, so that this one is the first of its kind
             difference = sign * (_profile(paths[other]) - _profile(path))
             alike = float(np.sqrt(np.mean(difference**2))) <= limit + explained
             # the first cycle from rest differs where it begins only, which shows in what does not close

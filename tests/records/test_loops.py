@@ -220,6 +220,15 @@ def test_start_from_rest_is_no_settled_cycle():
     assert loops[1].area_v_um == pytest.approx(area(5.0), rel=1e-3)
 
 
+def test_the_cycle_behind_the_one_from_rest_is_settled_if_no_other_follows():
+    """The largest loop of a record of falling ones was left out; the drift of the first passed for its own."""
+    u = line((0, 0), (200, 10), (400, 0), (600, 10), (800, 0), (1000, 8), (1200, 0), (1400, 6), (1600, 0))
+    loops = loop_table(record(u, respond(u)))
+    assert [loop.settled for loop in loops] == [False, True, True, True]
+    assert loops[1].area_v_um == pytest.approx(area(5.0), rel=1e-3)
+    assert abs(loops[1].drift_um) < 1e-9
+
+
 def test_sharp_tips_are_not_rounded_off():
     u = triangle(6)
     for loop in loop_table(record(u, measured(5.0 * u))):
