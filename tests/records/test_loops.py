@@ -221,7 +221,7 @@ def test_start_from_rest_is_no_settled_cycle():
 
 
 def test_the_cycle_behind_the_one_from_rest_is_settled_if_no_other_follows():
-    """The largest loop of a record of falling ones was left out; the drift of the first passed for its own."""
+    """The largest loop of a record of falling ones was left out, as if it drifted like the first one."""
     u = line((0, 0), (200, 10), (400, 0), (600, 10), (800, 0), (1000, 8), (1200, 0), (1400, 6), (1600, 0))
     loops = loop_table(record(u, respond(u)))
     assert [loop.settled for loop in loops] == [False, True, True, True]
