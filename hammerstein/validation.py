@@ -176,9 +176,8 @@ def with_nearest_kinds(data: Any, error: ValidationError) -> Any:
         for part in finding["loc"]:
             if isinstance(part, int) or part in node:  # it is not the tag of a union
                 node = node[part]
-        near = suggestion(finding["ctx"]["tag"], _tags(finding))
-        if near:
-            node[finding["ctx"]["discriminator"].strip("'")] = near.removesuffix("?").rpartition(" ")[2]
+        for near in nearest(finding["ctx"]["tag"], _tags(finding)):
+            node[finding["ctx"]["discriminator"].strip("'")] = near
     return copy
 
 
@@ -210,9 +209,14 @@ def _schema_of(model: type[BaseModel] | TypeAdapter[Any]) -> Schema:
     return schema
 
 
+def nearest(name: str, names: Iterable[str]) -> list[str]:
+    """Return the nearest known name, or none."""
+    return difflib.get_close_matches(name, list(names), n=1, cutoff=0.6)
+
+
 def suggestion(name: str, names: Iterable[str]) -> str:
     """Return "; did you mean ...?" with the nearest known name, or nothing."""
-    near = difflib.get_close_matches(name, list(names), n=1, cutoff=0.6)
+    near = nearest(name, names)
     return f"; did you mean {near[0]}?" if near else ""
 
 
@@ -294,7 +298,7 @@ def _unknown_key(name: str, place: Place, schema: Schema) -> str:
 
 
 def _nearest_elsewhere(name: str, schema: Schema) -> str:
-    near = difflib.get_close_matches(name, schema.names(), n=1, cutoff=0.6)
+    near = nearest(name, schema.names())
     if not near:
         return ""
     places = dict.fromkeys(owner.path or "the top of the file" for owner in schema.owners(near[0]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -15,7 +15,9 @@ from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
     from hammerstein.compensators.cycle import Cycle
+    from hammerstein.compensators.drive_file import Terms
     from hammerstein.compensators.learning import IlcUpdate
+    from hammerstein.compensators.path_file import Onlooker
     from hammerstein.runtime.manifest import Owner
 
 
@@ -100,15 +102,7 @@ def compensate(
             if learn is None:
                 period, taught = cycle_of(*asked, terms, onlooker), None
             else:
-                from hammerstein.compensators.learning import ModelUncertainty, learn_from_files
-
-                uncertainty = uncertainty or "0.05,0.01"
-                parts = volts("--uncertainty", uncertainty) or ()
-                if len(parts) != 2 or not all(0.0 <= value < 1.0 for value in parts):
-                    what = f"{uncertainty!r} must be two relative standard deviations, such as 0.05,0.01"
-                    raise InputError("--uncertainty", what)
-                unsure = ModelUncertainty(*parts)
-                period, taught = learn_from_files(*asked, learn, unsure, terms, onlooker, before)
+                period, taught = _learnt(asked, learn, uncertainty or "0.05,0.01", terms, onlooker, before)
             _write_period((out, run_up), period, taught, wanted, overwrite, as_json)
             return
         found = compensated(*asked, terms, onlooker)
@@ -323,3 +317,22 @@ def _write_period(
         return
     tell_statements(said)
     tell(f"run-up in {run_up}, {'one' if taught is None else 'next'} period in {out}")
+
+
+def _learnt(
+    asked: tuple[str, Path, str, dict[str, Any]],
+    trial: tuple[Path, Path],
+    uncertainty: str,
+    terms: Terms,
+    onlooker: Onlooker,
+    before: tuple[Path, Path] | None,
+) -> tuple[Cycle, IlcUpdate]:
+    """Next period of a path, from a trial, and what was learnt."""
+    from hammerstein.compensators.learning import ModelUncertainty, learn_from_files
+
+    deviations = volts("--uncertainty", uncertainty) or ()
+    if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
+        raise InputError(
+            "--uncertainty", f"{uncertainty!r} must be two relative standard deviations, such as 0.05,0.01"
+        )
+    return learn_from_files(*asked, trial, ModelUncertainty(*deviations), terms, onlooker, before)

@@ -67,8 +67,6 @@ def run(
 
     A report has numbers, a page and figures. Results are cached and not computed twice.
     """
-    from hammerstein.commands.terminal_tables import plan_table
-    from hammerstein.experiment.plan import plan_of
     from hammerstein.experiment.run import load_all
     from hammerstein.reporting.folder import Writer
     from hammerstein.reporting.interactive import refuse_without_library
@@ -77,7 +75,7 @@ def run(
     from hammerstein.runtime.staging import prepare
 
     if dry_run:
-        show(plan_table({name: plan_of(one, jobs) for name, one in load_all(paths).items()}, jobs))
+        _show_plan(paths, jobs)
         return
     out = out or _reports_of(paths)
     refuse_unwritable("--out", out)
@@ -105,11 +103,7 @@ def run(
     reports = _summed_up(outcomes, out, page, overwrite)
     _tell_reports(outcomes, reports, out, as_json)
     if open_ and reports:
-        import webbrowser
-
-        first = _first_page(reports, out)
-        if not webbrowser.open(first.resolve().as_uri()):
-            complain(f"no browser could be started; open {first} yourself")
+        _open(_first_page(reports, out))
     errors = [outcome.error for outcome in outcomes if outcome.error is not None]
     for error in errors:
         complain(str(error))
@@ -179,6 +173,22 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
 def _first_page(reports: Sequence[Report], out: Path) -> Path:
     """The page to look at first: the report if there is one, the overview if there are several."""
     return out / "index.html" if len(reports) > 1 else out / reports[0].name / "report.html"
+
+
+def _open(page: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(page.resolve().as_uri()):
+        complain(f"no browser could be started; open {page} yourself")
+
+
+def _show_plan(paths: Sequence[Path], jobs: int) -> None:
+    """Print what would be run."""
+    from hammerstein.commands.terminal_tables import plan_table
+    from hammerstein.experiment.plan import plan_of
+    from hammerstein.experiment.run import load_all
+
+    show(plan_table({name: plan_of(one, jobs) for name, one in load_all(paths).items()}, jobs))
 
 
 def _run_what_changed(

@@ -107,22 +107,7 @@ def fit_all(
     settings = settings.with_plays()
     known: dict[Settings, _Given] = {}
 
-    def given(tasks: Sequence[Callable[[], _Given]], names: Sequence[str], done: int) -> list[_Given]:
-        """Results in the order of the tasks, some computed in parallel."""
-        waiting = list(names)
-
-        def tell() -> None:
-            if waiting:
-                what = f"fitting {', '.join(dict.fromkeys(waiting))}"
-                progress(what, done + len(names) - len(waiting), 1 + len(others))
-
-        def finished(number: int, _: object = None) -> None:
-            waiting.remove(names[number])
-            tell()
-
-        tell()
-        with _crew(jobs, len(tasks)) as crew:
-            return list(in_order(tasks, crew, finished))
+    given = partial(_worked_off, jobs=jobs, progress=progress, total=1 + len(others))
 
     def fitted(kinds: Sequence[str], asked: Settings, done: int) -> list[_Given]:
         """Fit kinds behind plays of their settings, those that are not known first."""
@@ -164,6 +149,31 @@ def _with_dynamics(records: Sequence[Record], settings: Settings, plays: _Given)
 
 def _without_dynamics(settings: Settings) -> Settings:
     return replace(settings, dynamics="none", order=None, creep_modes=0)
+
+
+def _worked_off(
+    tasks: Sequence[Callable[[], _Given]],
+    names: Sequence[str],
+    done: int,
+    *,
+    jobs: Jobs,
+    progress: Progress,
+    total: int,
+) -> list[_Given]:
+    """Results in the order of the tasks, some computed in parallel."""
+    waiting = list(names)
+
+    def finished(number: int, _: object = None) -> None:
+        waiting.remove(names[number])
+        tell()
+
+    def tell() -> None:
+        if waiting:
+            progress(f"fitting {', '.join(dict.fromkeys(waiting))}", done + len(names) - len(waiting), total)
+
+    tell()
+    with _crew(jobs, len(tasks)) as crew:
+        return list(in_order(tasks, crew, finished))
 
 
 def _crew(jobs: Jobs, tasks: int) -> AbstractContextManager[Jobs]:

@@ -149,7 +149,7 @@ def read_path(
     onlooker: Onlooker = UNWATCHED,
     units: str | None = None,
 ) -> tuple[Array, Array, str]:
-    """Times (sample,), positions (output, sample) on the drive's grid, and how they were resampled, if so.
+    """Times (sample,), positions (output, sample) on the drive's grid, and what was resampled or left out.
 
     Parameters
     ----------
@@ -180,12 +180,8 @@ def read_path(
     grid = times[0] + np.arange(samples) * sample_time_s
     same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)
     reference = values if same else np.stack([np.interp(grid, times, row) for row in values])
-    unused = [name for name in others if word == "reference" and not name.startswith(OWN)]
-    said = (
-        [f"Columns of the path that are no output of the model are not used: {', '.join(unused)}."]
-        if unused
-        else []
-    )
+    unused = ", ".join(name for name in others if word == "reference" and not name.startswith(OWN))
+    said = [f"Columns of the path that are no output of the model are not used: {unused}."] if unused else []
     said += [] if same else [_resampled(times, sample_time_s)]
     return grid, np.ascontiguousarray(reference), " ".join(said)
 

@@ -108,7 +108,7 @@ def parameter_covariance(
     untold = [int(i) for i in fitted if i < cells and alone[i] > UNTOLD * scale[i]]
     taken = _taken_by_axes(candidate, records, starts, told, mean, fitted, scale)
     factor = triangle(np.hstack([own, misfit, taken]))
-    placed = thresholds_fitted if cells else any(_in_gaps(hysteresis))
+    placed = thresholds_fitted if cells else _has_places(hysteresis)
     return ParameterCovariance(factor, mean.following, tuple(fitted.tolist()), tuple(untold), SIZED * placed)
 
 
@@ -130,10 +130,9 @@ def _scale(hysteresis: Hysteresis[Any], size: int, records: Sequence[Record]) ->
     return np.concatenate([*each, spread, np.ones(size - cells - len(spread))]), cells
 
 
-def _in_gaps(hysteresis: Hysteresis[Any]) -> Iterator[bool]:
-    """Which free numbers are places: they stay within the gaps to their neighbours."""
-    spread = hysteresis.free_spread if isinstance(hysteresis, Identifiable) else np.empty(0)
-    yield from (spread != 1.0).tolist()
+def _has_places(hysteresis: Hysteresis[Any]) -> bool:
+    """Whether some free numbers are places, which stay within the gaps to their neighbours."""
+    return isinstance(hysteresis, Identifiable) and bool((hysteresis.free_spread != 1.0).any())
 
 
 class _Told(NamedTuple):

@@ -128,14 +128,14 @@ def _dynamics(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Vari
 
 def _passes(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     changed = with_passes(scenario, PASSES)
-    return (
-        None if changed is None else Variation(("passes",), f"with {PASSES} passes a sample", changed, model)
-    )
+    words = f"with {PASSES} passes a sample"
+    return None if changed is None else Variation(("passes",), words, changed, model)
 
 
 def _sample_time(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     changed = finer(scenario, model, FINER)
-    return Variation(("sample_time",), sampling(changed.instruments.drive.sample_time_s), changed, model)
+    words = sampling(changed.instruments.drive.sample_time_s)
+    return Variation(("sample_time",), words, changed, model)
 
 
 def _amplitude(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:

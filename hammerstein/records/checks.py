@@ -167,15 +167,8 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
         steps < 0.5 * typical
     )  # with jitter, long and short steps make up for each other
     if 2 * short < gaps.size <= max(FEW_GAPS * len(steps), 1):
-        found = [
-            Mistake(
-                where(name, rows, k, k + 1),
-                f"gap of {interval(steps[k])}, about {max(round(steps[k] / typical) - 1, 1)} missing "
-                "samples; cut the record there",
-            )
-            for k in gaps[:SHOWN].tolist()
-        ]
-        return found + not_listed(where(name), gaps.size, "gaps further down")
+        listed = [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]]
+        return listed + not_listed(where(name), gaps.size, "gaps further down")
     deviation = np.abs(time_s - np.linspace(time_s[0], time_s[-1], len(time_s)))
     if deviation.max() > time_tolerance(time_s):
         k = int(np.argmax(deviation))
@@ -187,6 +180,15 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
             )
         ]
     return []
+
+
+def _time_gap(name: str, time_s: Array, rows: Indices, k: int, typical: float) -> Mistake:
+    step = float(time_s[k + 1] - time_s[k])
+    missing = max(round(step / typical) - 1, 1)
+    return Mistake(
+        where(name, rows, k, k + 1),
+        f"gap of {interval(step)}, about {missing} missing samples; cut the record there",
+    )
 
 
 def hidden_gaps(name: str, time_s: Array, rows: Indices) -> list[Mistake]:

@@ -256,10 +256,9 @@ def _smooth(u: Array) -> Flags:
     """
     size = np.abs(np.diff(u, axis=1, prepend=u[:, :1]))
     sharp = np.any(size > JUMP * np.quantile(size, 1.0 - 2.0 * USUAL, axis=1)[:, None], axis=0)
-    smooth = np.ones(len(sharp), dtype=bool)
-    for k in np.flatnonzero(sharp).tolist():
-        smooth[max(k - BRIEF, 0) : k + LAGS[-1] + 1] = False
-    return smooth
+    counts = np.cumsum(np.pad(sharp, (LAGS[-1], BRIEF)))  # of the jumps up to each sample
+    window = LAGS[-1] + BRIEF + 1
+    return np.asarray(counts[window - 1 :] == np.concatenate([[0], counts[:-window]]))
 
 
 def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> list[Mistake]:

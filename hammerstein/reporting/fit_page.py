@@ -195,7 +195,9 @@ def _usable(fit: Fit) -> tuple[str, str]:
 
 def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> tuple[str, str]:
     """What to do next in words, and the whole command that does it, where one does."""
-    if not fit.invertible and asked is not None:
+    if not fit.invertible:
+        if asked is None:
+            return f"Next: {fit.invertibility}", ""
         return "Next, to find a model with an inverse:", _command("compare", *asked.words)
     if fit.validation and fit.other_kinds and asked is not None:
         return "Next:", _command("compare", *asked.words)

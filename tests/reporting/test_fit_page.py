@@ -135,6 +135,10 @@ def test_an_error_far_above_the_noise_names_the_command_that_helps(fits: tuple[F
     asked = Asked(Path("m.json"), [Path("a.csv")], ["a.csv", "--validate", "b.csv"])
     assert next_step(model, found, asked) == ("Next:", "hammerstein compare a.csv --validate b.csv")
     assert next_step(model, replace(found, other_kinds=False), asked)[1].startswith("hammerstein compensate")
+    blocked = replace(found, invertible=False, invertibility="There is no inverse.")
+    words = ("Next, to find a model with an inverse:", "hammerstein compare a.csv --validate b.csv")
+    assert next_step(model, blocked, asked) == words
+    assert next_step(model, blocked) == ("Next: There is no inverse.", "")  # compensate cannot be next
 
 
 def test_a_sample_time_is_given_in_us(fits: tuple[Found, Found]) -> None:

@@ -131,9 +131,16 @@ def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
         return AxisFit(Axis(), None, None, (), static, static)
     quick = _with_few_columns(task)
     point = refine(task, refine(quick, x).x if quick else x)
-    excited = not shape.resonance or _excited(task, point)
-    one_rate = _at_one_rate(task) and (shape.lag or (shape.resonance and _among_harmonics(task, point)))
-    found = AxisFit(axis_of(shape, point.x), None, None, (), point.rms, static, None, excited, one_rate)
+    found = AxisFit(
+        axis=axis_of(shape, point.x),
+        resonance_error_percent=None,
+        damping_error_percent=None,
+        creep_gain_errors=(),
+        rms_um=point.rms,
+        static_rms_um=static,
+        excited=not shape.resonance or _excited(task, point),
+        one_rate=_at_one_rate(task) and (shape.lag or (shape.resonance and _among_harmonics(task, point))),
+    )
     return found.with_errors(standard_errors(task, point))
 
 
