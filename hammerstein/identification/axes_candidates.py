@@ -55,6 +55,8 @@ WORTHWHILE = 5e-3
 """Part of the error that a turn must gain where the records are so long that samples are left out."""
 CLEARLY_FELT = 0.5
 """Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
+CREEP_MODES = ("a creep mode", "a second creep mode", "a third creep mode")
+"""Slow modes of an axis that are tried, one after the other."""
 PATIENCE = 2
 """Turns in a row without that, after which they end."""
 FEWER = (0.75, 0.5)
@@ -84,7 +86,7 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     """All four kinds of model with axes of the guessed shapes; outputs keep the simplest that fits as well.
 
     The best one is fitted to all records, together with the thresholds if the settings ask for that. Then a
-    low-pass beside a resonance and a creep mode are tried.
+    low-pass beside a resonance and creep modes are tried.
     """
     settings, may_creep = task.settings, task.settings.creep_modes == "auto"
     static = begun_static(without_dynamics(task))
@@ -243,7 +245,7 @@ def _others(
 def _with_lag_and_creep(
     task: Task, axes: tuple[AxisFit, ...], blocks: WeightFits
 ) -> tuple[tuple[AxisFit, ...], WeightFits, list[tuple[str, FittedModel]]]:
-    """Axes with a low-pass beside the resonance, then with a creep mode, each only if it lowers the error.
+    """Axes with a low-pass beside the resonance, then with creep modes, each only if it lowers the error.
 
     All outputs take a step together. The refitted static block decides whether it is kept: thresholds of
     plays and axes are fitted in turn here. Behind a block with fixed shapes, axes grow one by one instead;
@@ -255,7 +257,8 @@ def _with_lag_and_creep(
     steps: list[str] = (["lag"] if settings.dynamics == "auto" else []) + (
         ["creep"] if settings.creep_modes == "auto" else []
     )
-    for step in steps:
+    while steps:
+        step = steps.pop(0)
         task.progress(f"trying an additional {('low-pass' if step == 'lag' else 'creep mode')}")
         found = tuple(_with(task, grids, blocks, o, fit, step) for o, fit in enumerate(axes))
         if all(new.axis is old.axis for new, old in zip(found, axes, strict=True)):
@@ -264,11 +267,13 @@ def _with_lag_and_creep(
         trial = static_blocks(task, thresholds_of(blocks), dynamics_of(found), settings.solver)
         trial = replace(trial, fitted=blocks.fitted)
         with_it = FittedModel(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
-        name = {"lag": "a low-pass", "creep": "a creep mode"}[step]
+        modes = max(len(axis.axis.creep) for axis in found)
+        name = "a low-pass" if step == "lag" else CREEP_MODES[modes - 1]
         if _felt(blocks.chosen, trial.chosen):
             without = task.candidate(blocks.chosen.hysteresis, dynamics_of(axes))
             tried.append((f"without {name}", FittedModel(without, blocks, axes)))
             axes, blocks = found, trial
+            steps += ["creep"] if step == "creep" and modes < len(CREEP_MODES) else []
         else:
             tried.append((f"with {name}", with_it))
     return axes, blocks, tried

@@ -59,7 +59,7 @@ def refuse_noise(records: Sequence[Record], response: Array) -> None:
     ------
     IdentificationError : names every such input, how far it moved, and what to do
     """
-    if all(_is_noise(y) for record in records for y in record.y_um):
+    if all(is_noise(y) for record in records for y in record.y_um):
         raise IdentificationError(
             "no output responds to a voltage: the readings are noise; check the columns, the wiring "
             "and the sensor"
@@ -67,14 +67,14 @@ def refuse_noise(records: Sequence[Record], response: Array) -> None:
     silent = response < RESPONDED
     names, swing = records[0].inputs, half_swing(records)
     for k in np.flatnonzero(silent & (swing < SMALL * swing.max())):
-        if all(_is_noise(record.u_v[k]) for record in records):
+        if all(is_noise(record.u_v[k]) for record in records):
             raise IdentificationError(
                 f"input {names[k]} is never driven: it only has {2.0 * swing[k]:.3g} V of noise, and "
                 "no output responds; drive it in a record of its own, or remove it from the inputs"
             )
 
 
-def _is_noise(x: Array) -> bool:
+def is_noise(x: Array) -> bool:
     """Whether a signal stands still or is as rough as white noise."""
     return float(np.std(x)) <= ROUGH * noise_rms(x) or float(np.ptp(x)) <= 1.5 * quantum(x)
 

@@ -1,10 +1,12 @@
 """Words that choose how a model is identified: the same in scenarios, on the command line and in Python."""
 
+from collections.abc import Iterable
 from typing import Literal
 
 from hammerstein.hysteresis import HYSTERESIS
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.plugins import load_plugins
+from hammerstein.validation import suggestion
 
 Partition = Literal["auto", "time", "voltage", "fitted"]
 Solver = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
@@ -31,5 +33,10 @@ def known_kind(name: str) -> str:
     """Give the name of a kind of hysteresis back; ValueError, for pydantic, where it cannot be identified."""
     known = identifiable_kinds()
     if name not in known:
-        raise ValueError(f"{name!r} is not known; choose one of {', '.join(known)}")
+        raise ValueError(unknown_word(name, known))
     return name
+
+
+def unknown_word(word: str, known: Iterable[str]) -> str:
+    """Say that a word is none of those that are known, and which they are."""
+    return f"{word!r} is not known; choose one of {', '.join(known)}{suggestion(word, known)}"

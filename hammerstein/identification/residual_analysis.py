@@ -9,6 +9,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
+from hammerstein.identification.excitation import is_noise
 from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import Candidate, ranges
 from hammerstein.identification.settings import Settings
@@ -62,8 +63,7 @@ def residual_statements(
     left = [candidate.residual(record, start) for record, start in zip(records, starts, strict=True)]
     samples = sum(error.shape[1] for error in left)
     rms = np.sqrt(np.sum([(error**2).sum(axis=1) for error in left], axis=0) / samples)
-    noise = np.array([np.median([noise_rms(r.y_um[o]) for r in records]) for o in range(len(rms))])
-    span = ranges(records, starts)
+    noise, span = noise_um(records), ranges(records, starts)
     for o in np.flatnonzero((rms > FAR * noise) & (rms > LEAST_PART * span)):
         hz = _strongest(records, [error[o] for error in left])
         above = float(f"{rms[o] / noise[o]:.2g}") if noise[o] > 0.0 else 0.0  # two digits, and no exponent
@@ -73,6 +73,11 @@ def residual_statements(
             f"({noise[o]:.2g} um), mostly near {hz:.3g} Hz: the records contain an effect that the "
             f"model lacks. {_proposal(settings)}."
         )
+
+
+def noise_um(records: Sequence[Record]) -> Array:
+    """Rms white noise of each output (output,) in the median of the records [um]."""
+    return np.median([[noise_rms(row) for row in record.y_um] for record in records], axis=0)
 
 
 def faults_left(
@@ -167,10 +172,13 @@ def record_flags(
 ) -> Iterator[str]:
     """Records that the model misses by more than ten percent of their range.
 
-    ``explained`` are records and outputs of which the cause is known.
+    White noise is left out, unless an output is nothing else. ``explained`` are records and outputs of which
+    the cause is known.
     """
+    moves = [not all(is_noise(record.y_um[o]) for record in records) for o in range(len(records[0].y_um))]
     for record, start in zip(records, starts, strict=True):
-        rms = np.sqrt(np.mean(candidate.residual(record, start) ** 2, axis=1))
+        power = np.mean(candidate.residual(record, start) ** 2, axis=1)
+        rms = np.sqrt(np.maximum(power - moves * noise_um([record]) ** 2, 0.0))
         span = np.ptp(record.y_um[:, start.first :], axis=1)
         moved = span >= 0.1 * np.ptp(record.y_um, axis=1).max()
         percent = 100.0 * rms / np.where(moved, span, np.inf)
@@ -244,7 +252,9 @@ def turning_back_flags(
             if driven_inputs(record) != (k,):
                 continue
             u, y = record.u_v[k, start.first :], record.y_um[o, start.first :]
-            returned = _returned(u, y) - _returned(u, candidate.predict(record, start)[o, start.first :])
+            by_noise = math.sqrt(2.0 * math.log(len(y))) * noise_rms(y)  # largest of so many samples of noise
+            said = candidate.predict(record, start)[o, start.first :]
+            returned = _returned(u, y) - _returned(u, said) - by_noise
             if returned > RETURNED * float(np.ptp(y)):
                 yield (
                     f"{record.outputs[o]} of {PurePath(record.source).name} turns back: it returns by "

@@ -20,6 +20,7 @@ from hammerstein.identification.options import (
     Partition,
     Solver,
     identifiable_kinds,
+    unknown_word,
 )
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.quantities import DELAY_S, DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
@@ -59,7 +60,7 @@ class Settings(ByValue):
         ``state_space``, or ``auto``: the one of the first three, or a resonance with a low-pass, with the
         lowest error
     order : number of states of a state-space model; None: estimated
-    creep_modes : slow modes of each axis; ``auto``: one if it lowers the error
+    creep_modes : slow modes of each axis; ``auto``: up to three, each if it lowers the error
     delay_samples : delay of the outputs in whole samples, without the sensor's delay; None: estimated
     sensor_bandwidth_hz : first-order bandwidth of the sensor [Hz], from its data sheet; None: unlimited
     sensor_delay_s : additional delay of the sensor [s], from its data sheet; it is not part of the model,
@@ -94,7 +95,7 @@ class Settings(ByValue):
 
     def __post_init__(self) -> None:
         unknown = [
-            Mistake(name, f"{getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
+            Mistake(name, unknown_word(getattr(self, name), known))
             for name, known in {**CHOICES, "hysteresis": tuple(identifiable_kinds())}.items()
             if getattr(self, name) not in known
         ]

@@ -141,7 +141,7 @@ def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     mode, error = larger.axis.creep[-1], larger.creep_gain_errors[-1]
     size = f"{mode.gain:.2g} ± {error:.2g}"
     told = abs(mode.gain) >= SURE_CREEP * error
-    why = f"no record is long enough ({size})" if told else f"its gain is uncertain ({size})"
+    why = f"{'the records are too short or too slow for it' if told else 'its gain is uncertain'} ({size})"
     yield (
         f"creep of {name}: a slow mode with a time constant of {mode.time_constant_s:.3g} s would "
         f"lower the error from {fit.rms_um:.3g} to {larger.rms_um:.3g} um, but {why}; record a step "

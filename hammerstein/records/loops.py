@@ -4,7 +4,7 @@ A loop runs from one turning point of a voltage to the next but one. Its lines a
 which is commanded and clean, so that sensor noise opens no loop and closes none.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -36,6 +36,8 @@ SLOW = 0.05
 """Part of the time of the longest wide loop that another takes: one of a multisine is chance."""
 SAME_SWING = 0.01
 """Part by which the swings of two cycles of one amplitude may differ."""
+SAME_PACE = 0.1
+"""Part by which the times of two cycles of one rate may differ: noise moves the turns."""
 CLEAR = 3.0
 """Noise, times this, by which an output must fall for its gain to be negative."""
 BACKWARDS_PERCENT = -5.0
@@ -133,7 +135,7 @@ def loop_table(record: Record) -> list[Loop]:
     return [
         loop
         for k in driven_inputs(record)
-        if widest_cycle(record, k) is not None
+        if widest_cycle([record], k) is not None
         for o in range(len(record.y_um))
         for loop in pair_loops(record, k, o)
         if driven_alone(record, k, loop.start, loop.stop)
@@ -201,24 +203,61 @@ def turned_backwards(loops: Sequence[Loop]) -> str | None:
     return None
 
 
-def widest_cycle(record: Record, k: int, alone: bool = True) -> slice | None:
-    """Last cycle of largest swing of an input, if there is one: one that closes, if any does.
+def widest_cycle(records: Sequence[Record], k: int, alone: bool = True) -> tuple[int, slice] | None:
+    """Number of a record and its cycle of largest swing of an input, the last of the slowest ones.
+
+    Cycles that close go before those that do not, then plain ones before those with turns in them, if they
+    are wide: a multisine has the largest swing by chance.
 
     Parameters
     ----------
-    record : voltages and displacements
+    records : of one actuator
     k : input, from 0
     alone : whether the other inputs must rest meanwhile
     """
-    u = record.u_v[k]
-    found = [e for e in find_cycles(u).excursions if not alone or driven_alone(record, k, e.start, e.stop)]
-    cycles = [e for e in found if not e.minor] or found
-    if not cycles:
+    found = [one for i, record in enumerate(records) for one in _cycles(i, record, k, alone)]
+    for better in ("whole", "closed", "plain"):
+        widest = max((one.swing_v for one in found), default=0.0)
+        chosen = [one for one in found if getattr(one, better)]
+        if better != "plain" or any(one.swing_v >= WIDE * widest for one in chosen):
+            found = chosen or found
+    if not found:
         return None
-    cycles = [e for e in cycles if _closed(u, e)] or cycles
-    swings = [float(np.ptp(u[e.start : e.stop + 1])) for e in cycles]
-    wide = [e for e, swing in zip(cycles, swings, strict=True) if swing >= (1.0 - SAME_SWING) * max(swings)]
-    return slice(wide[-1].start, wide[-1].stop + 1)
+    widest = max(one.swing_v for one in found)
+    alike = [one for one in found if one.swing_v >= (1.0 - SAME_SWING) * widest]
+    slowest = max(one.seconds for one in alike)
+    last = [one for one in alike if one.seconds >= (1.0 - SAME_PACE) * slowest][-1]
+    return last.record, last.part
+
+
+class _Cycle(NamedTuple):
+    record: int
+    part: slice
+    swing_v: float
+    seconds: float
+    whole: bool
+    closed: bool
+    plain: bool
+
+
+def _cycles(i: int, record: Record, k: int, alone: bool) -> Iterator[_Cycle]:
+    """Excursions of a driven input, for a choice among those of several records."""
+    if k not in driven_inputs(record):
+        return
+    u = record.u_v[k]
+    cycles = find_cycles(u)
+    for e in cycles.excursions:
+        if not alone or driven_alone(record, k, e.start, e.stop):
+            inside = np.searchsorted(cycles.points, e.stop) - np.searchsorted(cycles.points, e.start, "right")
+            yield _Cycle(
+                record=i,
+                part=slice(e.start, e.stop + 1),
+                swing_v=float(np.ptp(u[e.start : e.stop + 1])),
+                seconds=(e.stop - e.start) * record.sample_time_s,
+                whole=not e.minor,
+                closed=_closed(u, e),
+                plain=bool(inside <= 1),
+            )
 
 
 def _closed(u: Array, cycle: Excursion) -> bool:
@@ -229,7 +268,7 @@ def _closed(u: Array, cycle: Excursion) -> bool:
 def move_at_once(record: Record) -> bool:
     """Whether several inputs move and none has a cycle alone, so that no loop belongs to a single pair."""
     driven = driven_inputs(record)
-    return len(driven) > 1 and not any(widest_cycle(record, k) for k in driven)
+    return len(driven) > 1 and not any(widest_cycle([record], k) for k in driven)
 
 
 def without_loops(record: Record) -> str:

@@ -18,6 +18,7 @@ from hammerstein.experiment.report import at_most
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
+from hammerstein.identification.residual_analysis import noise_um
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import interval
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
@@ -28,6 +29,8 @@ from hammerstein.signals.units import spoken
 FIT = Owner("fit")
 MODEL = Owner("model", single=True)
 ALWAYS = ("fit.json", "report.html", "report.md")
+MOSTLY = 0.7
+"""Noise of a record, in parts of an error there, from which half of its power is noise."""
 MOST_REMARKS = 2
 """Limits of a model that a terminal shows; the report lists all."""
 
@@ -179,6 +182,10 @@ def _error(fit: Fit) -> str:
     each = ", ".join(f"{um:.3g} um on {name}" for name, um in pairs)
     worst = at_most(max(score.nrmse_percent) / 100.0)
     records = "validation records" if fit.validation else "fitted records"
+    noise = noise_um(fit.held or fit.records)
+    if (noise > MOSTLY * np.array(score.rms_um)).any():
+        told = zip(noise.tolist(), map(spoken, fit.outputs), strict=True)
+        records += "; this includes their noise, " + ", ".join(f"{um:.3g} um on {name}" for um, name in told)
     return f"Rms error: {each}; {worst} of the range ({records})."
 
 

@@ -15,9 +15,9 @@ T = 0.1
 STEPS_UM = np.repeat([0.0, 10.0, -5.0, 20.0, 0.0], 600)
 
 
-def slow(v_um, time_constant_s):
+def slow(v_um, time_constant_s, sample_time_s=T):
     """First-order lag of a held signal, exact on its grid."""
-    pole = np.exp(-T / time_constant_s)
+    pole = np.exp(-sample_time_s / time_constant_s)
     return lfilter([0.0, 1.0 - pole], [1.0, -pole], v_um)
 
 
@@ -63,4 +63,24 @@ def test_creep_is_tried_behind_plays_that_nothing_else_delays(dynamics):
     assert axis.lag_s is None
     assert [(mode.gain, mode.time_constant_s) for mode in axis.creep] == [
         (pytest.approx(0.05, rel=0.02), pytest.approx(30.0, rel=0.05))
+    ]
+
+
+def test_a_second_slow_mode_is_tried_once_the_first_is_kept():
+    """Creep goes on over decades of time (1 and 30 s here); one mode leaves ten times the noise."""
+    true = {1.0: 0.04, 30.0: 0.05}
+    generator, records = np.random.default_rng(0), []
+    for hz, seconds in ((0.02, 200.0), (0.3, 60.0)):
+        t = 0.02 * np.arange(round(seconds / 0.02))
+        u = np.append(10.0 * np.sin(2.0 * np.pi * hz * t), np.full(1500, 6.0))[None]
+        [v] = theory.prandtl_ishlinskii(u, [[np.array([0.0, 2.0])]], [[np.array([3.0, 0.6])]])
+        y = v + sum(gain * slow(v, tau, 0.02) for tau, gain in true.items())
+        records.append(Record(u, [y + 0.003 * generator.standard_normal(v.size)], 0.02))
+    given = Settings(
+        thresholds_v=(0.0, 2.0), dynamics="auto", delay_samples=0, error_curve=False, start="rest"
+    )
+    [axis] = identify(records, given)[0].dynamics.axes
+    found = sorted((mode.time_constant_s, mode.gain) for mode in axis.creep)
+    assert found == [
+        (pytest.approx(tau, rel=0.1), pytest.approx(gain, rel=0.05)) for tau, gain in true.items()
     ]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hammerstein.identification.residual_analysis import butterfly_flags, turning_back_flags
+from hammerstein.identification.residual_analysis import butterfly_flags, record_flags, turning_back_flags
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
 
@@ -34,3 +34,16 @@ def test_a_loop_rises_if_its_tips_are_half_its_range_apart(unit, rise):
     flags = list(butterfly_flags([record], [(0, 0)]))
     assert bool(flags) == (abs(rise) < 0.5)
     assert all("its tips differ by only 49 % of the range" in flag for flag in flags)
+
+
+@pytest.mark.parametrize(("share", "bend"), [(0.5, 0.0), (0.1, 0.0), (0.1, 0.3)])
+def test_noise_makes_no_record_unrepresented_and_no_loop_turn_back(share, bend):
+    """The model misses white noise alone, but for a bend that turns back by a quarter of the range."""
+    noise = np.random.default_rng(5).standard_normal(U.size)
+    beyond = np.maximum(U - 5.0, 0.0)
+    record = Record([U], [U - 10.0 * bend * beyond + share * 20.0 * noise], 1e-3)
+    own = SimpleNamespace(predict=lambda one, _: one.u_v, residual=lambda one, _: one.y_um - one.u_v)
+    start = [InitialState("rest")]
+    if not bend:
+        assert list(record_flags(own, [record], start)) == []
+    assert bool(list(turning_back_flags(own, [record], start, [(0, 0)]))) == (bend > 0.0)

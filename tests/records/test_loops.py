@@ -532,10 +532,27 @@ def test_the_widest_cycle_is_one_that_closes():
     after = 6.0 * np.sin(2.0 * np.pi * np.arange(400) / 100)
     u = np.concatenate([u, after])
     record = Record([u], [u], 5e-5)
-    part = widest_cycle(record, 0)
-    assert part is not None
+    widest = widest_cycle([record], 0)
+    assert widest is not None
+    part = widest[1]
     assert part.stop - 1 - part.start == slow
     assert record.u_v[0, part][[0, -1]] == pytest.approx([10.0, 10.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_a_triangle_is_drawn_and_not_a_multisine_of_larger_swing(apart):
+    """Of triangles at 1 and 5 Hz the slow one, in one record with the multisine or in a record of its own."""
+    n = np.arange(4000)
+    triangles = np.concatenate(
+        [8.0 * (2.0 / np.pi) * np.arcsin(np.sin(2 * np.pi * n / p)) for p in (1000, 200)]
+    )
+    generator = np.random.default_rng(2)
+    lines = [np.sin(2.0 * np.pi * f * n / 4000 + generator.uniform(0.0, 6.0)) for f in range(1, 40)]
+    rough = 10.0 * sum(lines) / np.abs(sum(lines)).max()
+    parts = [triangles, rough] if apart else [np.concatenate([triangles, rough])]
+    i, part = widest_cycle([Record([u], [u], 1e-3) for u in reversed(parts)], 0)
+    assert i == len(parts) - 1
+    assert part.stop - 1 - part.start == pytest.approx(1000, abs=2)
 
 
 def test_noise_that_could_hide_the_closure_settles_no_lone_loop():

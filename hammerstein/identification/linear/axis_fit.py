@@ -93,12 +93,12 @@ class AxisFit:
     def creep_identified(self, records: Sequence[Record]) -> bool:
         """Whether the records identify the creep: slow modes of clear size that end within a record.
 
-        A mode that follows the drive within a radian of its slowest record cannot be separated from the gain,
+        A mode that follows the drive within a radian of its fastest record cannot be separated from the gain,
         nor a mode slower than the longest record from drift. Two modes with nearly the same time constant
         count as one.
         """
         longest = max(record.sample_time_s * record.samples for record in records)
-        shortest = 0.5 / np.pi / min(drive_hz(record) for record in records)
+        shortest = 0.5 / np.pi / max(drive_hz(record) for record in records)
         times = sorted(mode.time_constant_s for mode in self.axis.creep)
         if any(slower < APART * faster for faster, slower in itertools.pairwise(times)):
             return False

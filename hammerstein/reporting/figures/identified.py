@@ -16,8 +16,8 @@ from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.records.loops import SAME_SWING, widest_cycle
-from hammerstein.records.record import Record, driven_inputs
+from hammerstein.records.loops import widest_cycle
+from hammerstein.records.record import Record
 from hammerstein.reporting.figures.loops import LoopRun, loops_figure
 from hammerstein.reporting.figures.style import (
     MOST_POINTS,
@@ -113,8 +113,8 @@ def measured_loops(fit: Fit) -> Figure | None:
     """
     runs = []
     for k in range(len(fit.inputs)):
-        found = _slowest_cycle(fit, k, alone=True)
-        label, found = (MEASURED, found) if found else (SEPARATED, _slowest_cycle(fit, k, alone=False))
+        found = widest_cycle(fit.records, k)
+        label, found = (MEASURED, found) if found else (SEPARATED, widest_cycle(fit.records, k, alone=False))
         if found is None:
             continue
         i, part = found
@@ -131,20 +131,6 @@ def measured_loops(fit: Fit) -> Figure | None:
         return None
     inputs = [axis_label(name, "V") for name in fit.inputs]
     return loops_figure(runs, inputs, [axis_label(name, "µm") for name in fit.outputs])
-
-
-def _slowest_cycle(fit: Fit, k: int, alone: bool) -> tuple[int, slice] | None:
-    """Number of a record and its last cycle of largest swing: the longest of those over all records."""
-    found = [
-        (float(np.ptp(record.u_v[k, part])), i, part)
-        for i, record in enumerate(fit.records)
-        if k in driven_inputs(record) and (part := widest_cycle(record, k, alone))
-    ]
-    if not found:
-        return None
-    largest = max(swing for swing, _, _ in found)
-    alike = [(i, part) for swing, i, part in found if swing >= (1.0 - SAME_SWING) * largest]
-    return max(alike, key=lambda one: one[1].stop - one[1].start)
 
 
 def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:

@@ -350,7 +350,8 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
             runs.append(LoopRun(label, driven, record.u_v[driven, part], record.y_um[:, part]))
         if not table and move_at_once(record):
             for k in driven_inputs(record):
-                if cycle := widest_cycle(record, k, alone=False):
+                if widest := widest_cycle([record], k, alone=False):
+                    cycle = widest[1]
                     label = AT_ONCE + (f", {name}" if len(records) > 1 else "")
                     runs.append(LoopRun(label, k, record.u_v[k, cycle], record.y_um[:, cycle]))
     if not runs:
