@@ -278,8 +278,12 @@ class Missed:
     def _limits_hit(self) -> str:
         """Say what the voltages would have to be without limits, and how far off the path is with them."""
         found, inputs = self.found.predicted, self.model.inputs
-        free_v = self._free_drive()
-        parts = []
+        parts, free_v = [], None
+        if self.prefix:  # the voltages of a jump say nothing
+            away = np.abs(self.path_um[:, 0]).max()
+            parts.append(f"the path begins {length(float(away), 3)} um away from the initial position")
+        else:
+            free_v = self._free_drive()
         for k in np.flatnonzero(found.at_range.any(axis=1)):
             end, limit = ("lower", found.limits.low_v) if found.at_low[k] else ("upper", found.limits.high_v)
             first = int(np.argmax(found.at_range[k]))

@@ -52,7 +52,7 @@ OF_A_CREEPING_MODEL = (
 def residual_statements(
     candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState], settings: Settings
 ) -> Iterator[str]:
-    """Sentences about outputs with errors far above the noise, with proposals; none if all is well.
+    """A sentence about outputs with errors far above the noise, with a proposal; none if all is well.
 
     Parameters
     ----------
@@ -64,13 +64,16 @@ def residual_statements(
     samples = sum(error.shape[1] for error in left)
     rms = np.sqrt(np.sum([(error**2).sum(axis=1) for error in left], axis=0) / samples)
     noise, span = noise_um(records), ranges(records, starts)
+    far = []
     for o in np.flatnonzero((rms > FAR * noise) & (rms > LEAST_PART * span)):
         hz = _strongest(records, [error[o] for error in left])
         above = float(f"{rms[o] / noise[o]:.2g}") if noise[o] > 0.0 else 0.0  # two digits, and no exponent
         times = f"{above:g} times the noise" if above else "far above the noise"
+        size = f"{times} ({noise[o]:.2g} um), mostly near {hz:.3g} Hz"
+        far.append(f"of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {size}")
+    if far:
         yield (
-            f"The prediction error of {records[0].outputs[o]} ({rms[o]:.3g} um rms) is {times} "
-            f"({noise[o]:.2g} um), mostly near {hz:.3g} Hz: the records contain an effect that the "
+            f"The prediction error {', and that '.join(far)}: the records contain an effect that the "
             f"model lacks. {_proposal(settings)}."
         )
 

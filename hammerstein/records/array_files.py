@@ -115,8 +115,6 @@ def _parsed(column: str) -> tuple[str, list[int]]:
 
 
 def _loaded(variables: Variables, name: str) -> Array:
-    if not variables:
-        raise InputError("file", "it has no array of numbers; save the signals as plain numeric arrays")
     name = _resolved(variables, name)
     if name not in variables:
         near = difflib.get_close_matches(name, variables, n=1)
@@ -178,7 +176,7 @@ def variables_of(path: Path) -> Variables:
     """Arrays of a file by their names, each with the unit that the file states; InputError if unreadable."""
     suffix = path.suffix.lower()
     try:
-        return _READERS[suffix](path)
+        found = _READERS[suffix](path)
     except ImportError:
         kind, extra = _EXTRAS[suffix]
         what = f"is {kind}: pip install 'hammerstein-control[{extra}]', or save it as CSV"
@@ -187,6 +185,10 @@ def variables_of(path: Path) -> Variables:
         why = _reason(error)
         what = f"cannot be read as a {suffix} file ({why}); was it cut short, or is it of another kind?"
         raise InputError(str(path), what) from None
+    if not found:
+        what = f"has no array of numbers; is it a {suffix} file, with signals as plain numeric arrays?"
+        raise InputError(str(path), what)
+    return found
 
 
 def _numpy_array(path: Path) -> Variables:

@@ -206,8 +206,8 @@ def turned_backwards(loops: Sequence[Loop]) -> str | None:
 def widest_cycle(records: Sequence[Record], k: int, alone: bool = True) -> tuple[int, slice] | None:
     """Number of a record and its cycle of largest swing of an input, the last of the slowest ones.
 
-    Cycles that close go before those that do not, then plain ones before those with turns in them, if they
-    are wide: a multisine has the largest swing by chance.
+    Where they are wide, cycles that close go before those that do not, and plain ones before those with turns
+    in them: a multisine has the largest swing by chance, and closes by chance.
 
     Parameters
     ----------
@@ -219,8 +219,7 @@ def widest_cycle(records: Sequence[Record], k: int, alone: bool = True) -> tuple
     for better in ("whole", "closed", "plain"):
         widest = max((one.swing_v for one in found), default=0.0)
         chosen = [one for one in found if getattr(one, better)]
-        if better != "plain" or any(one.swing_v >= WIDE * widest for one in chosen):
-            found = chosen or found
+        found = chosen if any(one.swing_v >= WIDE * widest for one in chosen) else found
     if not found:
         return None
     widest = max(one.swing_v for one in found)

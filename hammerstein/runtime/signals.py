@@ -15,7 +15,7 @@ from collections.abc import Container
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 INTERRUPTED = 130
 """128 + 2, what shells give for SIGINT."""
-TOLD = b"interrupted; finished results are saved, and nothing is half-written\n"
+TOLD = b"interrupted; finished files are kept, and nothing is half-written\n"
 CLEAR_LINE_SHOW_CURSOR = b"\r\x1b[2K\x1b[?25h"
 """A terminal with a bar of progress has neither in order."""
 

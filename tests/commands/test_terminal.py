@@ -146,7 +146,7 @@ def test_ctrl_c_is_one_line_from_our_first_line_on(folder, number, wait_s):
         process.send_signal(number)
         _, error = process.communicate(timeout=60)
     if process.returncode != 0:  # it may have been quicker
-        assert error == "interrupted; finished results are saved, and nothing is half-written\n"
+        assert error == "interrupted; finished files are kept, and nothing is half-written\n"
         assert process.returncode == 130
 
 
@@ -169,7 +169,7 @@ main()
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert found.returncode == 130
-    assert found.stderr == "interrupted; finished results are saved, and nothing is half-written\n"
+    assert found.stderr == "interrupted; finished files are kept, and nothing is half-written\n"
 
 
 def test_a_file_is_told_once_a_minute_what_is_done(capsys, monkeypatch):

@@ -50,7 +50,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-ENDED = "interrupted; finished results are saved, and nothing is half-written"
+ENDED = "interrupted; finished files are kept, and nothing is half-written"
 
 
 class Run:

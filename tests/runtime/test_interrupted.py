@@ -130,7 +130,7 @@ def test_ctrl_c_in_a_destructor_is_answered_like_any_other(tmp_path):
     told = [line for line in run.stderr.splitlines() if not line.startswith("this takes about")]
     assert (run.returncode, told) == (
         130,
-        ["interrupted; finished results are saved, and nothing is half-written"],
+        ["interrupted; finished files are kept, and nothing is half-written"],
     )
 
 
