@@ -216,47 +216,39 @@ def widest_cycle(records: Sequence[Record], k: int, alone: bool = True) -> tuple
     alone : whether the other inputs must rest meanwhile
     """
     found = [one for i, record in enumerate(records) for one in _cycles(i, record, k, alone)]
-    for better in ("whole", "closed", "plain"):
-        widest = max((one.swing_v for one in found), default=0.0)
-        chosen = [one for one in found if getattr(one, better)]
-        found = chosen if any(one.swing_v >= WIDE * widest for one in chosen) else found
-    if not found:
-        return None
-    widest = max(one.swing_v for one in found)
-    alike = [one for one in found if one.swing_v >= (1.0 - SAME_SWING) * widest]
-    slowest = max(one.seconds for one in alike)
-    last = [one for one in alike if one.seconds >= (1.0 - SAME_PACE) * slowest][-1]
-    return last.record, last.part
+    widest = max((one.swing_v for one in found), default=0.0)
+    wide = [one for one in found if one.swing_v >= WIDE * widest]
+    best = max((one.merits for one in wide), default=())
+    found = [one for one in wide if one.merits == best]
+    widest = max((one.swing_v for one in found), default=0.0)
+    found = [one for one in found if one.swing_v >= (1.0 - SAME_SWING) * widest]
+    slowest = max((one.seconds for one in found), default=0.0)
+    last = [one for one in found if one.seconds >= (1.0 - SAME_PACE) * slowest][-1:]
+    return (last[0].record, last[0].part) if last else None
 
 
 class _Cycle(NamedTuple):
+    """merits : whether it is no minor loop, closes, and has no turns in it."""
+
     record: int
     part: slice
     swing_v: float
     seconds: float
-    whole: bool
-    closed: bool
-    plain: bool
+    merits: tuple[bool, bool, bool]
 
 
 def _cycles(i: int, record: Record, k: int, alone: bool) -> Iterator[_Cycle]:
     """Excursions of a driven input, for a choice among those of several records."""
     if k not in driven_inputs(record):
         return
-    u = record.u_v[k]
+    u, time_s = record.u_v[k], record.sample_time_s
     cycles = find_cycles(u)
     for e in cycles.excursions:
         if not alone or driven_alone(record, k, e.start, e.stop):
             inside = np.searchsorted(cycles.points, e.stop) - np.searchsorted(cycles.points, e.start, "right")
-            yield _Cycle(
-                record=i,
-                part=slice(e.start, e.stop + 1),
-                swing_v=float(np.ptp(u[e.start : e.stop + 1])),
-                seconds=(e.stop - e.start) * record.sample_time_s,
-                whole=not e.minor,
-                closed=_closed(u, e),
-                plain=bool(inside <= 1),
-            )
+            part = slice(e.start, e.stop + 1)
+            merits = (not e.minor, _closed(u, e), bool(inside <= 1))
+            yield _Cycle(i, part, float(np.ptp(u[part])), (e.stop - e.start) * time_s, merits)
 
 
 def _closed(u: Array, cycle: Excursion) -> bool:

@@ -184,6 +184,18 @@ def test_nonnegative_gives_every_weight_the_sign_of_the_gain():
         assert row[1].weights_um_per_v.sum() < -1.0
 
 
+@pytest.mark.parametrize("solver", ["least_squares", "nonnegative", "invertible"])
+def test_the_model_has_the_weights_of_the_solver_that_is_asked_for(solver):
+    """Lag asks for a negative slope: free weights have one, and leave least."""
+    record = lagging_record()
+    asked = {"thresholds_v": theory.R_V, "dynamics": "none", "delay_samples": 0, "start": "rest"}
+    [[pair]] = identify([record], Settings(solver=solver, error_curve=False, **asked))[0].hysteresis.pairs
+    own = fit_static([record], [[theory.R_V]], solver=solver).hysteresis.pairs[0][0]
+    assert pair.weights_um_per_v == pytest.approx(own.weights_um_per_v, rel=1e-9, abs=1e-12)
+    assert (pair.slopes.min() < 0.0) == (solver == "least_squares")
+    assert (pair.weights_um_per_v.min() < 0.0) == (solver != "nonnegative")
+
+
 def test_direct_pairs_follow_the_largest_gains():
     assert direct_pairs(np.array([[1.0, 5.0], [4.0, 1.0]])) == [(0, 1), (1, 0)]
     assert direct_pairs(np.array([[1.0, -5.0, 2.0]])) == [(0, 1)]

@@ -1,6 +1,7 @@
 """Errors of fitted thresholds: those of refits with other noise, in the file, in the report and in draws."""
 
 import json
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -295,3 +296,12 @@ def test_drawn_thresholds_stay_sorted_and_above_zero():
     drawn = [spec.draw(model, Instruments(), n)[0].hysteresis.pairs[0][0] for n in range(50)]
     assert all(pair.thresholds_v[0] >= 0.0 for pair in drawn)
     assert len({tuple(pair.thresholds_v) for pair in drawn}) == 50
+
+
+def test_a_spread_grows_until_the_first_number_is_as_far_as_it_can_be():
+    generator = np.random.default_rng(0)
+    spread, scale = generator.standard_normal((5, 3)), generator.uniform(0.1, 10.0, 5)
+    spread[2] = 0.0
+    reached = covariance._most(spread, scale) * np.linalg.norm(spread, axis=1) / scale
+    assert reached.max() == pytest.approx(1.0, rel=1e-12)
+    assert covariance._most(0.0 * spread, scale) == math.inf

@@ -145,7 +145,7 @@ class Recording:
             places = [
                 (file, row)
                 for name in _made_by(tree / path, line)
-                for file, row in _named_at(tree, name)
+                for file, row in _named_at(tree, name, path)
                 if _within_function(tree / file, row)
             ]
             found = {name for place in places for name in self._direct(*place)}
@@ -207,14 +207,20 @@ def _made_by(path: Path, line: int) -> list[str]:
     return []
 
 
-def _named_at(tree: Path, name: str, seen: frozenset[str] = frozenset()) -> Iterator[tuple[str, int]]:
-    """Places of the package that name something; compiled loops give those that name them."""
+def _named_at(
+    tree: Path, name: str, owner: str, seen: frozenset[str] = frozenset()
+) -> Iterator[tuple[str, int]]:
+    """Places of the package that name something of a file; compiled loops give those that name them.
+
+    A private name is named in its own file alone.
+    """
     import ast
 
     if name in seen:
         return
     word = re.compile(rf"\b{re.escape(name)}\b")
-    for file in sorted((tree / "hammerstein").rglob("*.py")):
+    files = [tree / owner] if name.startswith("_") else sorted((tree / "hammerstein").rglob("*.py"))
+    for file in files:
         text = file.read_text()
         if not word.search(text):
             continue
@@ -230,6 +236,6 @@ def _named_at(tree: Path, name: str, seen: frozenset[str] = frozenset()) -> Iter
                 continue
             loops = [node.name for node in compiled if node.lineno <= number <= (node.end_lineno or 0)]
             for loop in loops:
-                yield from _named_at(tree, loop, seen | {name})
+                yield from _named_at(tree, loop, path, seen | {name})
             if not loops:
                 yield path, number

@@ -229,6 +229,14 @@ def test_the_cycle_behind_the_one_from_rest_is_settled_if_no_other_follows():
     assert abs(loops[1].drift_um) < 1e-9
 
 
+@pytest.mark.parametrize(("part", "settled"), [(0.003, True), (0.007, False)])
+def test_a_cycle_that_drifts_by_half_a_percent_of_its_height_has_not_settled(part, settled):
+    """Each cycle is higher than the one before it by a part of its height."""
+    u = sine(4)
+    y = 5.0 * u + part * 100.0 * np.floor(np.arange(len(u)) / 400 - 0.25)
+    assert {loop.settled for loop in loop_table(record(u, y))[1:-1]} == {settled}
+
+
 def test_sharp_tips_are_not_rounded_off():
     u = triangle(6)
     for loop in loop_table(record(u, measured(5.0 * u))):
