@@ -106,7 +106,7 @@ def compensate(
             _write_period((out, run_up), period, taught, wanted, overwrite, as_json)
             return
         found = compensated(*asked, terms, onlooker)
-        write_output(out, found.to_csv(onlooker.tell), wanted.owner(), overwrite)
+        write_output(out, found.to_csv(tell=onlooker.tell), wanted.owner(), overwrite)
     if as_json:
         tell_json({"drive": str(out), **found.summary()})
         return

@@ -151,7 +151,7 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
     """Print the results, and where the reports are."""
     from hammerstein.commands.terminal_tables import judgement_tables, result_table
     from hammerstein.reporting.overview import digest
-    from hammerstein.reporting.summary import doubts
+    from hammerstein.reporting.summary import doubts, unsettled_runs
 
     if as_json:
         errors = [str(outcome.error) for outcome in outcomes if outcome.error]
@@ -161,6 +161,8 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
         show(result_table(reports))
         for table in judgement_tables(reports):
             show(table)
+        if told := unsettled_runs(reports[0]):
+            complain(f"{reports[0].name}: {told}")
     for report in reports:
         for doubt in doubts(report):
             complain(f"{report.name}: {doubt}")

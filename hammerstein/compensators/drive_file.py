@@ -24,6 +24,7 @@ from hammerstein.compensators.path_file import (
 )
 from hammerstein.compensators.reach import Reach, Shortfall, reach
 from hammerstein.errors import IdentificationError, InputError, SimulationError
+from hammerstein.files import write_atomic
 from hammerstein.model import HammersteinModel
 from hammerstein.records.turning_points import noise_rms
 from hammerstein.runtime.manifest import Owner
@@ -199,13 +200,16 @@ class Compensation:
             return f"{text}at rest, without history.{earlier}"
         return f"{text}at rest at {rest} before, then directly to the start.{earlier}"
 
-    def to_csv(self, tell: Tell | None = None) -> str:
+    def to_csv(self, path: Path | str | None = None, *, tell: Tell | None = None) -> str:
         """Text of the drive file: time, voltages to send, reference, predicted position.
 
-        tell : told how many rows are written
+        path : file that is written with it; tell : told how many rows are written
         """
         groups = predicted_groups(self.model, self.drive_v, self.reference_um, self.shortfall.predicted_um)
-        return drive_csv(self.time_s, groups, [HEADING, *self.statements()], tell)
+        text = drive_csv(self.time_s, groups, [HEADING, *self.statements()], tell)
+        if path is not None:
+            write_atomic(Path(path), text)
+        return text
 
 
 def verdict_statements(model: HammersteinModel) -> list[str]:

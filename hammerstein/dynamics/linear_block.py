@@ -106,6 +106,12 @@ class SteppedBlock(ABC):
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
+def transfer(A: Array, B: Array, C: Array, D: Array, z: Complex) -> Complex:
+    """C (z I - A)^-1 B + D (point, output, input) at points z (point,)."""
+    states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape)))
+    return np.asarray(C @ states + D)
+
+
 @dataclass(frozen=True, eq=False)
 class LinearBlock(SteppedBlock, ByValue):
     """A discrete linear block on one sample grid: x[k+1] = A x[k] + B v[k], y[k] = C x[k] + D v[k].
@@ -212,11 +218,7 @@ class LinearBlock(SteppedBlock, ByValue):
     def response(self, frequency_hz: ArrayLike) -> Complex:
         """Frequency response (frequency, p, m) of the block on its grid."""
         z = np.exp(2j * np.pi * np.atleast_1d(np.asarray(frequency_hz)) * self.sample_time_s)
-        n = self.A.shape[0]
-        resolvent = np.linalg.solve(
-            z[:, None, None] * np.eye(n) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
-        )
-        return np.asarray(self.C @ resolvent + self.D)
+        return transfer(self.A, self.B, self.C, self.D, z)
 
     def observed_by(self, sensor: LinearBlock) -> LinearBlock:
         """Series with a sensor; the outputs are first this block's own, then the sensor's."""

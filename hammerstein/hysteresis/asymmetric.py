@@ -30,6 +30,7 @@ from hammerstein.hysteresis.kind import (
     PairFile,
     PartFile,
     described,
+    working_point,
 )
 from hammerstein.hysteresis.pair import (
     Pair,
@@ -216,10 +217,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             raise InputError(
                 "asymmetric model", f"dead-zones must be {p} rows of {m}, one for each pair of the plays"
             )
-        given = np.zeros(m) if self.working_point_v is None else self.working_point_v
-        object.__setattr__(self, "working_point_v", frozen(given))
-        if np.shape(given) != (m,) or not np.isfinite(given).all():
-            raise InputError("asymmetric model", f"its working point must be {m} finite voltages")
+        object.__setattr__(self, "working_point_v", working_point(self.working_point_v, m, self.kind))
         refuse_other_sizes(self.operators, self.weight_covariance)
 
     def describe(self) -> str:

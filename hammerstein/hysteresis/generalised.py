@@ -31,6 +31,7 @@ from hammerstein.hysteresis.kind import (
     PartFile,
     described,
     refuse_not_finite,
+    working_point,
 )
 from hammerstein.hysteresis.pair import Pair, PlayState, WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
@@ -247,10 +248,7 @@ class Generalised(Hysteresis[PlayState], Identifiable):
         m = self.plays.n_inputs
         if len(self.envelopes) != m:
             raise InputError("envelopes", f"are {len(self.envelopes)}; give {m}, one for each input")
-        given = np.zeros(m) if self.working_point_v is None else self.working_point_v
-        object.__setattr__(self, "working_point_v", frozen(given))
-        if np.shape(given) != (m,) or not np.isfinite(given).all():
-            raise InputError("generalised model", f"its working point must be {m} finite voltages")
+        object.__setattr__(self, "working_point_v", working_point(self.working_point_v, m, self.kind))
         replace(self.plays, weight_covariance=self.weight_covariance)  # refuses a covariance of others
 
     @property

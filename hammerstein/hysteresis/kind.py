@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
-from hammerstein.arrays import Array, ByValue, rows_of
+from hammerstein.arrays import Array, ByValue, frozen, rows_of
 from hammerstein.blocks import Memory
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError, SimulationError
@@ -332,6 +332,17 @@ def refuse_not_finite(u_v: Array) -> None:
     if not np.isfinite(u_v).all():
         axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u_v)))
         raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
+
+
+def working_point(given: ArrayLike | None, m: int, kind: str) -> Array:
+    """Voltages (m,) from which a block counts: 0 where none are given.
+
+    Raises InputError for others than m finite ones.
+    """
+    point = frozen(np.zeros(m) if given is None else given)
+    if point.shape != (m,) or not np.isfinite(point).all():
+        raise InputError(f"{kind} model", f"its working point must be {m} finite voltages")
+    return point
 
 
 class PartFile(Strict):

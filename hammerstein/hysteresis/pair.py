@@ -1,7 +1,5 @@
 """Play operators: one, a bank of them with weights and how well these are known, all of a model."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -30,7 +28,7 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
 
     Raises
     ------
-    InputError : arrays of another shape, or a number that is not finite
+    InputError : arrays of another shape, a number that is not finite, or a negative threshold
 
     Examples
     --------
@@ -40,6 +38,8 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
     from hammerstein.hysteresis.play_kernels import play_bank
 
     voltages, thresholds = _line("u", u), _line("r", np.atleast_1d(r))
+    if (thresholds < 0.0).any():
+        raise InputError("play", f"r holds {thresholds.min():g} V, but thresholds are 0 or more")
     plays = np.zeros(len(thresholds)) if start is None else _line("start", start).copy()
     if plays.shape != thresholds.shape:
         raise InputError(
@@ -124,12 +124,12 @@ class Pair(ByValue):
         refuse("Prandtl-Ishlinskii pair", mistakes)
 
     @classmethod
-    def linear(cls, gain_um_per_v: float) -> Pair:
+    def linear(cls, gain_um_per_v: float) -> "Pair":
         """Pass the input times a gain [um/V]."""
         return cls(frozen([0.0]), frozen([gain_um_per_v]))
 
     @classmethod
-    def absent(cls) -> Pair:
+    def absent(cls) -> "Pair":
         """Respond to nothing."""
         return cls(frozen([]), frozen([]))
 
@@ -250,7 +250,7 @@ class Bank:
     scale: Array
 
     @classmethod
-    def of(cls, pairs: Sequence[Sequence[Pair]]) -> Bank:
+    def of(cls, pairs: Sequence[Sequence[Pair]]) -> "Bank":
         """Merge the pairs (output, input) onto one grid an input."""
         p, m = len(pairs), len(pairs[0])
         grids = [np.unique(np.concatenate([pairs[o][k].thresholds_v for o in range(p)])) for k in range(m)]

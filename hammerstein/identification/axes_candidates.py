@@ -22,6 +22,7 @@ from hammerstein.identification.linear.axis_steps import rms_behind
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.model_selection import FELT, lowers
+from hammerstein.identification.output_dynamics import MOST_CREEP
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.initial_state import shortened
@@ -55,8 +56,6 @@ WORTHWHILE = 5e-3
 """Part of the error that a turn must gain where the records are so long that samples are left out."""
 CLEARLY_FELT = 0.5
 """Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
-CREEP_MODES = ("a creep mode", "a second creep mode", "a third creep mode")
-"""Slow modes of an axis that are tried, one after the other."""
 PATIENCE = 2
 """Turns in a row without that, after which they end."""
 FEWER = (0.75, 0.5)
@@ -88,11 +87,11 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     The best one is fitted to all records, together with the thresholds if the settings ask for that. Then a
     low-pass beside a resonance and creep modes are tried.
     """
-    settings, may_creep = task.settings, task.settings.creep_modes == "auto"
+    settings = task.settings
     static = begun_static(without_dynamics(task))
     task, guess, axes, others = _first_axes(task, guesses)
     blocks = static_blocks(task, task.thresholds_v, dynamics_of(axes), settings.solver)
-    if not may_creep and not _felt(static.best.blocks.chosen, blocks.chosen):
+    if settings.creep_modes == 0 and not _felt(static.best.blocks.chosen, blocks.chosen):
         unfelt = [replace(axis, rms_um=axis.static_rms_um) if axis.identified else axis for axis in axes]
         return replace(finished_static(without_dynamics(task), static), axes=tuple(unfelt), others=others)
     notes: tuple[str, ...] = ()
@@ -206,7 +205,6 @@ def _axes(task: Task, thresholds_v: Thresholds, guess: FirstGuess, every: int) -
         SlopeColumns.of(thresholds_v).grids,
         task.starts,
         guess,
-        creep_modes=settings.creep_modes if isinstance(settings.creep_modes, int) else None,
         sensor=settings.sensor,
         every=every,
         progress=task.progress,
@@ -247,16 +245,15 @@ def _with_lag_and_creep(
 ) -> tuple[tuple[AxisFit, ...], WeightFits, list[tuple[str, FittedModel]]]:
     """Axes with a low-pass beside the resonance, then with creep modes, each only if it lowers the error.
 
-    All outputs take a step together. The refitted static block decides whether it is kept: thresholds of
-    plays and axes are fitted in turn here. Behind a block with fixed shapes, axes grow one by one instead;
-    see ``output_dynamics``.
+    Creep modes that are asked for stay anyway. All outputs take a step together. The refitted static block
+    decides whether it is kept: thresholds of plays and axes are fitted in turn here. Behind a block with
+    fixed shapes, axes grow one by one instead; see ``output_dynamics``.
     """
     settings = task.settings
     tried: list[tuple[str, FittedModel]] = []
     grids = SlopeColumns.of(thresholds_of(blocks)).grids
-    steps: list[str] = (["lag"] if settings.dynamics == "auto" else []) + (
-        ["creep"] if settings.creep_modes == "auto" else []
-    )
+    asked = settings.creep_modes != "auto"
+    steps = ["lag"] * (settings.dynamics == "auto") + ["creep"] * (int(settings.creep_modes) if asked else 1)
     while steps:
         step = steps.pop(0)
         task.progress(f"trying an additional {('low-pass' if step == 'lag' else 'creep mode')}")
@@ -268,12 +265,12 @@ def _with_lag_and_creep(
         trial = replace(trial, fitted=blocks.fitted)
         with_it = FittedModel(task.candidate(trial.chosen.hysteresis, dynamics_of(found)), trial, found)
         modes = max(len(axis.axis.creep) for axis in found)
-        name = "a low-pass" if step == "lag" else CREEP_MODES[modes - 1]
-        if _felt(blocks.chosen, trial.chosen):
+        name = "a low-pass" if step == "lag" else f"creep mode {modes}"
+        if (asked and step == "creep") or _felt(blocks.chosen, trial.chosen):
             without = task.candidate(blocks.chosen.hysteresis, dynamics_of(axes))
             tried.append((f"without {name}", FittedModel(without, blocks, axes)))
             axes, blocks = found, trial
-            steps += ["creep"] if step == "creep" and modes < len(CREEP_MODES) else []
+            steps += ["creep"] * (step == "creep" and not asked and modes < MOST_CREEP)
         else:
             tried.append((f"with {name}", with_it))
     return axes, blocks, tried
@@ -282,7 +279,10 @@ def _with_lag_and_creep(
 def _with(
     task: Task, grids: tuple[Array, ...], blocks: WeightFits, o: int, old: AxisFit, step: str
 ) -> AxisFit:
-    """One axis with one more low-pass or creep mode; unchanged if a quick search does not lower the error."""
+    """One axis with one more low-pass or creep mode; unchanged where the records do not identify it.
+
+    A mode that is asked for is added anyway.
+    """
     shape, x = axis_parameters(old.axis)
     if not old.identified:
         shape, x = AxisShape(False), np.empty(0)
@@ -295,10 +295,11 @@ def _with(
     quick = replace(full, records=few, starts=begun, every=thinning(few)).mixed(slopes)
     larger = replace(shape, lag=True) if step == "lag" else replace(shape, creep_modes=shape.creep_modes + 1)
     point = (search_lag if step == "lag" else search_creep)(replace(quick, shape=larger), x)
-    if not lowers(point.rms, rms_behind(quick, x)):
+    asked = step == "creep" and task.settings.creep_modes != "auto"
+    if not asked and not lowers(point.rms, rms_behind(quick, x)):
         return old
     fit = fit_axis(replace(full, shape=larger), point.x)
-    if fit.identified and (step == "lag" or fit.creep_identified(task.records)):
+    if asked or (fit.identified and (step == "lag" or fit.creep_identified(task.records))):
         return fit
     return replace(old, unsure=fit) if step == "creep" else old
 

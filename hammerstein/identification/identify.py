@@ -1,6 +1,6 @@
 """From records to a model and an account of how far it can be trusted."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
 from typing import ParamSpec, TypeVar
@@ -56,10 +56,10 @@ def _told(work: Callable[P, T]) -> Callable[P, T]:
 
 
 def identify(
-    records: Sequence[Record],
+    records: Record | Sequence[Record],
     settings: Settings | None = None,
     *,
-    validation: Sequence[Record] = (),
+    validation: Record | Sequence[Record] = (),
     name: str = "identified",
     instruments: Instruments | None = None,
     progress: Progress | None = None,
@@ -101,7 +101,9 @@ def identify(
     >>> model.hysteresis.pairs[0][0].weights_um_per_v.round(6), fit.invertible
     (array([3., 1., 1.]), True)
     """
-    asked = settings or Settings()
+    asked = Settings() if settings is None else settings
+    if not isinstance(asked, Settings):
+        raise InputError("settings", f"are a {type(asked).__name__}; give Settings(...)")
 
     def found(asked: Settings) -> tuple[HammersteinModel, Fit]:
         prepared = fit_plays(records, asked, validation, progress)
@@ -144,13 +146,14 @@ def settings_of_plays(asked: Settings, kind: str) -> Settings:
 @_told
 @one_blas_thread()
 def fit_plays(
-    records: Sequence[Record],
+    records: Record | Iterable[Record],
     asked: Settings,
-    validation: Sequence[Record] = (),
+    validation: Record | Iterable[Record] = (),
     progress: Progress | None = None,
 ) -> Prepared:
     """Fit plays and linear models, before any other kind; see ``identify``."""
     settings, tell = settings_of_plays(asked, asked.hysteresis), progress or _silent
+    records, validation = given_records(records), given_records(validation)
     ready = from_last_rest(records, settings.sensor, accept_order=settings.accept_order)
     held = (
         from_last_rest(validation, settings.sensor, accept_order=settings.accept_order) if validation else ()
@@ -255,14 +258,24 @@ def _kept(task: Task, built: CandidateSet) -> tuple[CandidateSet, tuple[Trial, .
     return replace(built, kind=kind, found={**built.found, kind: found}), marked
 
 
+def given_records(given: Record | Iterable[Record]) -> tuple[Record, ...]:
+    """One record or several as a tuple; InputError for anything else."""
+    records = (given,) if isinstance(given, Record) else tuple(given)
+    if strange := [one for one in records if not isinstance(one, Record)]:
+        kind = type(strange[0]).__name__
+        raise InputError("records", f"hold a {kind}; give values of Record(u_v, y_um, sample_time_s)")
+    return records
+
+
 def from_last_rest(
-    records: Sequence[Record], sensor: SensorModel | None = None, *, accept_order: bool = False
+    records: Record | Iterable[Record], sensor: SensorModel | None = None, *, accept_order: bool = False
 ) -> tuple[Record, ...]:
     """Records from where they last rested, with their voltages counted from there.
 
     sensor : whose known delay is taken off the readings, in whole samples; none if not given
     accept_order : whether an output may lead its input
     """
+    records = given_records(records)
     if not records:
         raise InputError("records", "there are none")
     _refuse_mixed(records)

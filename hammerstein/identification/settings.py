@@ -1,7 +1,5 @@
 """How an identification is done: one value, checked once."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -94,6 +92,9 @@ class Settings(ByValue):
     error_curve: bool = True
 
     def __post_init__(self) -> None:
+        for name in ("operators", "creep_modes", "delay_samples"):
+            if isinstance(value := getattr(self, name), np.integer | float) and value == int(value):
+                object.__setattr__(self, name, int(value))
         unknown = [
             Mistake(name, unknown_word(getattr(self, name), known))
             for name, known in {**CHOICES, "hysteresis": tuple(identifiable_kinds())}.items()
@@ -101,7 +102,7 @@ class Settings(ByValue):
         ]
         refuse("identification", [*unknown, *self._misfits(), *self._bad_numbers()])
 
-    def without_auto(self) -> Settings:
+    def without_auto(self) -> "Settings":
         """The same with plain choices for what would be found from the records by plays alone.
 
         A kind of hysteresis that is no bank of plays would be chosen by what plays make of its own effects: a
@@ -113,7 +114,7 @@ class Settings(ByValue):
             chosen["creep_modes"] = 0  # those that are asked for stand behind the kind itself
         return replace(self, **chosen)
 
-    def with_plays(self) -> Settings:
+    def with_plays(self) -> "Settings":
         """The same with plays in place of another kind of hysteresis."""
         return replace(self, hysteresis=PLAYS, dead_zones=None)
 
@@ -177,14 +178,16 @@ class Settings(ByValue):
         return mistakes
 
     def _bad_numbers(self) -> list[Mistake]:
-        counts = np.ravel(self.operators) if not isinstance(self.operators, str) else np.array([1])
+        counts = np.array([1]) if isinstance(self.operators, str) else np.ravel(self.operators)
+        creep, delay = self.creep_modes, self.delay_samples
         bandwidth = self.sensor_bandwidth_hz
         thresholds = [] if self.thresholds_v is None else _flat(self.thresholds_v)
         wrong = {
-            "operators": (counts < 1).any() or (counts > MOST_OPERATORS).any(),
+            "operators": counts.dtype.kind not in "iu"
+            or not 1 <= counts.min() <= counts.max() <= MOST_OPERATORS,
             "order": self.order is not None and not 1 <= self.order <= MOST_STATES,
-            "creep_modes": self.creep_modes != "auto" and not 0 <= int(self.creep_modes) <= MOST_CREEP_MODES,
-            "delay_samples": self.delay_samples is not None and not DELAY_SAMPLES.holds(self.delay_samples),
+            "creep_modes": creep != "auto" and not (_whole(creep) and 0 <= creep <= MOST_CREEP_MODES),
+            "delay_samples": delay is not None and not (_whole(delay) and DELAY_SAMPLES.holds(delay)),
             "sensor_bandwidth_hz": bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth),
             "sensor_delay_s": not DELAY_S.holds(self.sensor_delay_s),
             "ridge": not RIDGE.holds(self.ridge),
@@ -192,10 +195,10 @@ class Settings(ByValue):
             "thresholds": not all(map(THRESHOLD_V.holds, thresholds)) or not _rises(self.thresholds_v),
         }
         limits = {
-            "operators": f"must be 1 to {MOST_OPERATORS}",
+            "operators": f"must be a whole number, 1 to {MOST_OPERATORS}",
             "order": f"must be 1 to {MOST_STATES}",
-            "creep_modes": f"must be 0 to {MOST_CREEP_MODES}",
-            "delay_samples": DELAY_SAMPLES.words(),
+            "creep_modes": f"must be auto or a whole number, 0 to {MOST_CREEP_MODES}",
+            "delay_samples": f"{DELAY_SAMPLES.words()}, a whole number",
             "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; omit it for a sensor without lag",
             "sensor_delay_s": DELAY_S.words(),
             "ridge": RIDGE.words(),
@@ -281,6 +284,10 @@ def _flat(thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]]) -> 
     if np.ndim(thresholds_v) == 0:
         return [float(thresholds_v)]  # type: ignore[arg-type]
     return [value for part in thresholds_v for value in _flat(part)]  # type: ignore[arg-type]
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _rises(thresholds_v: Array | Sequence[Any] | None) -> bool:

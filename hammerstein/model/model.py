@@ -179,8 +179,8 @@ class HammersteinModel(ByValue, NotebookRepr):
         reference_um: ArrayLike,
         *,
         law: LawLike = "hammerstein_inverse",
-        range_v: Sequence[float] | None = None,
-        start_v: Sequence[float] | None = None,
+        range_v: ArrayLike | None = None,
+        start_v: ArrayLike | None = None,
         conditioned: bool = False,
         clip: bool = False,
         beyond_records: bool = False,
@@ -212,7 +212,8 @@ class HammersteinModel(ByValue, NotebookRepr):
         """
         from hammerstein.compensators.drive_file import Terms, compensation_of
 
-        low_high, start = (None if given is None else tuple(given) for given in (range_v, start_v))
+        flat = [None if given is None else np.ravel(given).tolist() for given in (range_v, start_v)]
+        low_high, start = (None if given is None else tuple(given) for given in flat)
         terms = Terms(low_high, start, conditioned, clip, beyond_records, accept_flagged)
         return compensation_of(self, reference_um, law, options, terms)
 

@@ -216,15 +216,16 @@ def widest_cycle(records: Sequence[Record], k: int, alone: bool = True) -> tuple
     alone : whether the other inputs must rest meanwhile
     """
     found = [one for i, record in enumerate(records) for one in _cycles(i, record, k, alone)]
-    widest = max((one.swing_v for one in found), default=0.0)
-    wide = [one for one in found if one.swing_v >= WIDE * widest]
-    best = max((one.merits for one in wide), default=())
-    found = [one for one in wide if one.merits == best]
-    widest = max((one.swing_v for one in found), default=0.0)
+    if not found:
+        return None
+    widest = max(one.swing_v for one in found)
+    best = max(one.merits for one in found if one.swing_v >= WIDE * widest)
+    found = [one for one in found if one.swing_v >= WIDE * widest and one.merits == best]
+    widest = max(one.swing_v for one in found)
     found = [one for one in found if one.swing_v >= (1.0 - SAME_SWING) * widest]
-    slowest = max((one.seconds for one in found), default=0.0)
-    last = [one for one in found if one.seconds >= (1.0 - SAME_PACE) * slowest][-1:]
-    return (last[0].record, last[0].part) if last else None
+    slowest = max(one.seconds for one in found)
+    last = [one for one in found if one.seconds >= (1.0 - SAME_PACE) * slowest][-1]
+    return last.record, last.part
 
 
 class _Cycle(NamedTuple):

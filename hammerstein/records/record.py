@@ -1,7 +1,5 @@
 """A record of an actuator: voltages, displacements, how its inputs were driven, what is mended in it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from itertools import chain
@@ -103,6 +101,9 @@ class Record(NotebookRepr):
                 self.source,
                 f"u_v has shape {u.shape} and y_um {y.shape}; give (input, sample) and (output, sample)",
             )
+        if u.shape[0] > u.shape[1]:
+            what = f"u_v has shape {u.shape}, more inputs than samples; transpose it: (input, sample)"
+            raise InputError(self.source, what)
         if not (np.isfinite(self.sample_time_s) and self.sample_time_s > 0):
             raise InputError(self.source, f"sample_time_s is {self.sample_time_s:g}; it must be above 0")
 
@@ -157,7 +158,7 @@ class Record(NotebookRepr):
         """Samples a second [Hz]."""
         return 1.0 / self.sample_time_s
 
-    def part(self, start: int, stop: int) -> Record:
+    def part(self, start: int, stop: int) -> "Record":
         """Samples start to stop - 1 as a record of their own; they keep their row numbers."""
         u, y, rows = self.u_v[:, start:stop], self.y_um[:, start:stop], self.rows[start:stop]
         return replace(self, u_v=u, y_um=y, rows=rows, verified=True)

@@ -1,7 +1,5 @@
 """Accepted numbers of a scenario, their file, and a report compared with them: every number, both ways."""
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import json
@@ -58,7 +56,7 @@ class Baseline:
     rows: Numbers
 
     @classmethod
-    def of(cls, report: Report) -> Baseline:
+    def of(cls, report: Report) -> "Baseline":
         """Return the numbers of a report.
 
         Raises
@@ -77,7 +75,7 @@ class Baseline:
         return cls(report.digest, report.model_digest, rows)
 
     @classmethod
-    def load(cls, path: Path) -> Baseline:
+    def load(cls, path: Path) -> "Baseline":
         """Read a baseline file; InputError with every mistake in it."""
         text = read_limited(path, what="baseline")
         with mistakes_in(str(path), BaselineFile):
@@ -98,7 +96,7 @@ class Baseline:
         )
         return f"{{\n{_digest_line(text)}\n{text}"
 
-    def save(self, path: Path, overwrite: bool = False) -> SavedBaseline:
+    def save(self, path: Path, overwrite: bool = False) -> "SavedBaseline":
         """Write the file in one piece, unless it holds the same already.
 
         A baseline that a person has changed is kept under another name, unless it may be overwritten.
@@ -209,7 +207,7 @@ class Kind(StrEnum):
     MISSING_NUMBER = "number of the baseline is missing"
     EXTRA_NUMBER = "number is not in the baseline"
     MISSING_COLUMN = "number of every row of the baseline is missing"
-    SCENARIO_CHANGED = "the scenario changed after its baseline was made"
+    SCENARIO_CHANGED = "the scenario, or a file beside its actuator, changed after the baseline was made"
     MODEL_CHANGED = "the actuator's model changed after the baseline was made"
     NO_BASELINE = "has no baseline"
     ORPHAN = "belongs to no scenario"

@@ -1,7 +1,5 @@
 """The answer of a report in plain sentences, made from its rows."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -81,7 +79,7 @@ class Contest:
     idle: frozenset[str]
 
     @classmethod
-    def of(cls, report: Report, quote: Quote) -> Contest:
+    def of(cls, report: Report, quote: Quote) -> "Contest":
         """Return the contest of a report."""
         said = [text for text in report.statements if DIVERGES in text]
         labels = labels_of(report.rows)
@@ -114,7 +112,9 @@ def _answered(report: Report, quote: Quote) -> Sentence | None:
             found[row.compensator] = max(value, found.get(row.compensator, value), key=abs)
     ordered = sorted(found.items(), key=lambda item: abs(item[1]))
     told = ", ".join(f"{quote(label)} {number(value)}" for label, value in ordered)
-    return Sentence(f"The {METRICS[name].meaning}: {told}.") if found else None
+    several = len({(Condition.of(row), row.measured_axis) for row in report.rows if is_direct(report, row)})
+    worst = f", at the worst of {several} frequencies, amplitudes and axes" if several > 1 else ""
+    return Sentence(f"The {METRICS[name].meaning}{worst}: {told}.") if found else None
 
 
 def _uncertain(report: Report, contest: Contest) -> Sentence | None:
@@ -290,6 +290,27 @@ def doubts(report: Report) -> list[str]:
     return [text for text in report.statements if FLAGGED in text or GUESSED in text]
 
 
+def unsettled_runs(report: Report) -> str:
+    """Sentence on runs that had not settled; empty if all had."""
+    texts, runs = [text for text in report.statements if NOT_SETTLED in text], len(_runs(report))
+    if not texts:
+        return ""
+    never = sum(NEVER_SETTLES in text for text in texts)
+    after = "raise settle_cycles or settle_s in [measure]"
+    if never:
+        some = f"{after} (does not help {never} of them)"
+        after = some if never < len(texts) else "more cycles do not help, see the report"
+    named = f"{len(texts)} of {runs} runs had not settled: {_grouped(texts)}"
+    named = named if len(texts) != runs else "No run had settled"
+    return f"{named}. These numbers still change; {after}."
+
+
+def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:
+    """A row of each run: each compensator is one, models share theirs."""
+    compared = report.scenario.reference is not None
+    return {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
+
+
 def _conduct(report: Report) -> Iterator[str]:
     """Whether the drive's range was enough, and whether what repeats had settled."""
     if any(ITSELF in text for text in report.statements):
@@ -298,24 +319,15 @@ def _conduct(report: Report) -> Iterator[str]:
         yield f"Flagged by {'its' if len(flagged) == 1 else 'their'} fit report: {', '.join(flagged)}."
     if any(GUESSED in text for text in report.statements):
         yield "The voltages exceed the records of the simulated actuator: its motion there is extrapolated."
-    compared = report.scenario.reference is not None  # each compensator is a run, models share theirs
-    runs = {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
+    runs = _runs(report)
     cut = sum(bool(row.saturated_samples) for row in runs.values())
     clipped = sum(SENSOR_CUT in statement for statement in report.statements)
-    unsettled = [text for text in report.statements if NOT_SETTLED in text]
     some = f"The drive's range clipped the voltage in {cut} of {len(runs)} runs."
     yield some if cut else "No voltage was clipped."
     if clipped:
         yield f"The sensor's range clipped the reading in {clipped} of {len(runs)} runs."
     signal = report.scenario.signal
-    if unsettled:
-        never = sum(NEVER_SETTLES in text for text in unsettled)
-        after = "raise settle_cycles or settle_s in [measure]"
-        if never:
-            some = f"{after} (does not help {never} of them)"
-            after = some if never < len(unsettled) else "more cycles do not help, see below"
-        named = f"{len(unsettled)} of {len(runs)} runs had not settled: {_grouped(unsettled)}"
-        named = named if len(unsettled) != len(runs) else "No run had settled"
-        yield f"{named}. These numbers still change; {after}."
+    if unsettled := unsettled_runs(report):
+        yield unsettled
     elif isinstance(signal, OneFrequency) and signal.repeats and report.scenario.measure.measured_cycles > 1:
         yield "Every run had settled."

@@ -1,7 +1,5 @@
 """Scenarios: one validated value for each scenario file."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -270,9 +268,10 @@ class Scenario(WithInfinity):
         return [self.portable(), [digest_of_file(path) for path in self.files()]]
 
     def digest(self) -> str:
-        """Short hash of everything that affects the scenario's numbers, with the content of its files."""
+        """Short hash of what affects the scenario's numbers, with its files beside the actuator's."""
         content = {key: value for key, value in self.portable().items() if key not in WORDS}
-        content |= {path.name: digest_of_file(path) for path in self._files()}
+        others = [path for path in self._files() if path != Path(self.actuator)]
+        content |= {path.name: digest_of_file(path) for path in others}
         return digest_of(content)[:16]
 
 

@@ -14,6 +14,7 @@ from hammerstein.compensators.cycle import cycle_of
 from hammerstein.compensators.drive_file import Terms, allowed_range, compensate
 from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import AxesDynamics, Axis
+from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
 from hammerstein.signals import smooth_step
 
@@ -399,6 +400,16 @@ def test_noise_is_named_from_ten_times_that_of_the_path_and_a_thousandth_of_the_
     attempt = dataclasses.replace(found.attempt, reference_um=path, drive_v=drive, lead=0)
     told = dataclasses.replace(found, attempt=attempt)
     assert ("amplifies rounding" in " ".join(told.essentials())) == said
+
+
+def test_a_drive_is_written_to_a_path_and_a_number_is_a_start_or_a_range(tmp_path):
+    model = _stage(tmp_path)
+    path_um = [[0.0, 10.0, 20.0, 10.0]]
+    found = model.compensate(path_um, law="exact_inverse", start_v=0.0)
+    text = found.to_csv(tmp_path / "drive.csv")
+    assert (tmp_path / "drive.csv").read_text() == text == found.to_csv()
+    with pytest.raises(InputError, match="100 means -100 to 100 V, but u was recorded on one side only"):
+        model.compensate(path_um, law="exact_inverse", range_v=100.0)
 
 
 def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsys, monkeypatch):

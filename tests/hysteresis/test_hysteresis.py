@@ -441,3 +441,8 @@ def test_a_pair_says_what_it_is():
     assert repr(Pair.absent()) == "Pair(absent)"
     told = "Pair(2 operators, thresholds 0.5 to 1.25 V, summed weight 3.5 um/V)"
     assert repr(Pair([0.5, 1.25], [3.0, 0.5])) == told
+
+
+def test_plays_of_negative_thresholds_are_refused():
+    with pytest.raises(InputError, match="r holds -1 V, but thresholds are 0 or more"):
+        play([0.0, 1.0], [0.5, -1.0])

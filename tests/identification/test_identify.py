@@ -15,6 +15,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
 from hammerstein.identification.score import Candidate, Score, invertibility_of
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import cautious_start, closed, judged_starts
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.verdict import UNTOLD, verdict
@@ -215,7 +216,9 @@ def test_a_lagging_loop_never_gives_a_model_without_inverse_silently():
     assert "held at the lower bound" in fit.notes[0]
     assert "phase lag" not in fit.notes[0]  # one rate cannot tell it from hysteresis
     free, said = identify([record], plain(delay_samples=0, solver="least_squares"))
-    assert min(free.hysteresis.pairs[0][0].slopes) < 0.0
+    lowest = min(free.hysteresis.pairs[0][0].slopes)
+    assert lowest < 0.0
+    assert f"would be {lowest:.3g} um/V" in fit.notes[0]
     assert not said.invertible
     assert "no inverse" in said.invertibility
     assert free.provenance["invertible"] is False
@@ -350,6 +353,41 @@ def test_settings_name_every_mistake_at_once():
         plain(solver="closed_form", dynamics="second_order")
     with pytest.raises(InputError, match="give a number or auto"):
         plain(operators="some")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("operators", 2.5),
+        ("operators", True),
+        ("creep_modes", "yes"),
+        ("creep_modes", 1.5),
+        ("delay_samples", 1.5),
+    ],
+)
+def test_numbers_of_things_are_whole(name, value):
+    with pytest.raises(InputError, match="whole number") as caught:
+        Settings(**{name: value})
+    assert [mistake.where for mistake in caught.value.mistakes] == [name]
+
+
+def test_the_whole_numbers_of_numpy_are_whole():
+    assert Settings(operators=np.int64(3), creep_modes=np.int32(1), delay_samples=2.0) == Settings(
+        operators=3, creep_modes=1, delay_samples=2
+    )
+
+
+def test_one_record_is_taken_for_a_list_of_one_and_anything_else_is_named():
+    record = sine_record()
+    known = plain(delay_samples=0)
+    model, fit = identify(record, known, validation=record)
+    again, _ = identify((one for one in [record]), known)
+    assert model.hysteresis == again.hysteresis
+    assert fit.held
+    with pytest.raises(InputError, match="records: hold a tuple; give values of Record"):
+        identify([(record.u_v, record.y_um)], known)
+    with pytest.raises(InputError, match=r"settings: are a dict; give Settings"):
+        identify([record], {"operators": 3})
 
 
 def test_numbers_and_thresholds_must_fit_the_axes():

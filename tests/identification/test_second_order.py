@@ -82,10 +82,15 @@ def campaign(noise=0.04, seed=0, frequencies=(20.0, 100.0, 250.0, 400.0), **keyw
     return records
 
 
-def fitted(records, creep_modes=0, **keywords):
+def fitted(records, creep=(), **keywords):
+    """creep : gain and time constant of each slow mode to begin with."""
     starts = [InitialState("rest")] * len(records)
     guess = search_axes(records, starts, sensor=SensorModel(SENSOR_HZ), **keywords)
-    return fit_axes(records, [R, R], starts, guess, creep_modes=creep_modes, sensor=SensorModel(SENSOR_HZ))
+    modes = [value for gain, time_s in creep for value in (gain, np.log(time_s))]
+    shapes = tuple(replace(shape, creep_modes=len(creep)) for shape in guess.shapes)
+    begins = tuple(np.append(x, modes) for x in guess.parameters)
+    guess = replace(guess, shapes=shapes, parameters=begins)
+    return fit_axes(records, [R, R], starts, guess, sensor=SensorModel(SENSOR_HZ))
 
 
 def test_resonance_damping_and_weights_come_back_from_noisy_sines():
@@ -175,7 +180,7 @@ def test_creep_comes_back_from_a_slow_record_beside_fast_ones():
         time_s = 0.01 * np.arange(4000)
         u[k] = 8.0 * np.sign(np.sin(2.0 * np.pi * time_s / 20.0 + 0.1)) + 1.5 * np.sin(2.0 * np.pi * time_s)
         slow.append(record_of(u, 0.01, np.random.default_rng(k), creep=creep, sample_time_s=0.01))
-    fit = fitted([*fast, *slow], creep_modes=2)
+    fit = fitted([*fast, *slow], creep=((0.02, 2.3), (0.02, 7.0)))
     for axis in fit.axes:
         modes = sorted(axis.axis.creep, key=lambda mode: mode.time_constant_s)
         assert [mode.gain for mode in modes] == pytest.approx([0.04, 0.06], rel=0.02)

@@ -12,6 +12,7 @@ from hammerstein.identification.static.initial_state import (
     each_alone,
     found_starts,
     judged_starts,
+    own_starts,
     shortened,
 )
 from hammerstein.identification.static.regressors import InitialState
@@ -138,3 +139,17 @@ def test_a_beginning_without_a_model_is_none(rest_serves):
     else:
         with pytest.raises(IdentificationError, match="cannot separate"):
             found_starts(records, fit, 0.0)
+
+
+@pytest.mark.parametrize("mode", ["auto", "rest", "repeated"])
+def test_a_model_has_its_own_start_unless_that_is_known(mode):
+    """A model for which the record began at rest, and another one's start after a step from above."""
+    bump = np.where(np.arange(U.size) < 500, 8.0, 0.0)
+    record, given = Record([U], [5.0 * U], 1e-3), InitialState("stepped", turn_v=((0.0, U.max()),))
+
+    def predict(one: Record, start: InitialState) -> np.ndarray:
+        return straight(one, start) + (start.kind != "rest") * bump
+
+    (found,) = own_starts([record], [given], predict, mode)
+    assert (found.kind == "rest") == (mode == "auto")
+    assert mode == "auto" or found is given

@@ -281,3 +281,15 @@ def test_what_is_said_of_a_record_has_its_units_and_goes_with_its_axes(v, um, or
     for one, other in zip(told(1.0, 1.0, [0, 1]), told(v, um, order), strict=True):
         assert len(one) >= 4
         assert other == {key: pytest.approx(values, rel=1e-9, abs=1e-12) for key, values in one.items()}
+
+
+def test_a_record_that_is_transposed_is_told_to_be_turned():
+    column = np.sin(np.arange(200.0))[:, None]
+    with pytest.raises(InputError, match=r"u_v has shape \(200, 1\), more inputs than samples; transpose it"):
+        Record(column, column, 1e-3)
+
+
+def test_a_record_is_told_by_its_axes_and_their_ranges():
+    u = np.linspace(-3.0, 4.0, 100)
+    told = repr(Record([u, 2.0 * u], [0.5 * u], 1e-3, inputs=("a", "b"), outputs=("x",)))
+    assert told.endswith("100 samples of 1 ms; a -3 to 4 V, b -6 to 8 V; x -1.5 to 2 um)")

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Band, Report
 from hammerstein.experiment.run import run
 from hammerstein.metrics import METRICS, Row
+from hammerstein.model import HammersteinModel
 from hammerstein.paper.judgements import ClaimJudgement, Simulated
 from hammerstein.regression.compare import (
     Baseline,
@@ -29,7 +31,7 @@ from hammerstein.regression.compare import (
 )
 from hammerstein.regression.result import CheckResult, ScenarioCheck, check_files
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.scenario import Tolerance
+from hammerstein.scenario.scenario import Tolerance, load_scenario
 
 LOOP = """
 question = "How large is a loop?"
@@ -135,6 +137,23 @@ def test_a_zero_of_theory_is_bounded_and_not_compared_with_noise(loop: Report) -
     before = {"rms_um": 3e-13}
     assert compared(loop, before, {"rms_um": 9e-7}) == []
     assert compared(loop, before, {"rms_um": 1.1e-6}) == [Kind.MOVED]
+
+
+def test_a_changed_file_of_the_actuator_is_no_change_of_the_scenario(tmp_path: Path) -> None:
+    """The actuator is the model of a compensator, too; a model of its own belongs to the scenario."""
+    for name in ("stage", "other"):
+        HammersteinModel.load("duo_bimorph_static").save(tmp_path / f"{name}.json")
+    text = LOOP.format(amplitude=10.0).replace("duo_bimorph_static", "stage.json")
+    models = "".join(f'[[models]]\nlabel = "{n}"\nmodel = "{n}.json"\n' for n in ("stage", "other"))
+    (tmp_path / "loop.toml").write_text(text + models)
+    before = Baseline.of(run(load_scenario(tmp_path / "loop.toml"), "loop"))
+    for name, kind in (("stage", Kind.MODEL_CHANGED), ("other", Kind.SCENARIO_CHANGED)):
+        plant = HammersteinModel.load(str(tmp_path / f"{name}.json"))
+        changed = plant.hysteresis.with_weights([1.01 * np.asarray(w) for w in plant.hysteresis.weights])
+        replace(plant, hysteresis=changed).save(tmp_path / f"{name}.json")
+        found = {one.kind for one in compare(run(load_scenario(tmp_path / "loop.toml"), "loop"), before)}
+        assert found & {Kind.MODEL_CHANGED, Kind.SCENARIO_CHANGED} == {kind}
+        plant.save(tmp_path / f"{name}.json")
 
 
 def test_angles_are_compared_the_short_way_round(loop: Report) -> None:
@@ -417,9 +436,9 @@ def test_findings_of_every_kind_are_told_together() -> None:
         Finding(Kind.EXTRA_NUMBER, key, "gain", now=1.5),
     ).text()
     assert text.splitlines()[:5] == [
-        "circle: the scenario changed after its baseline was made, the actuator's model changed after the "
-        "baseline was made, 1 of 12 numbers left its tolerance, 1 row is missing, 1 number is not in the "
-        "baseline",
+        "circle: the scenario, or a file beside its actuator, changed after the baseline was made, the "
+        "actuator's model changed after the baseline was made, 1 of 12 numbers left its tolerance, 1 row is "
+        "missing, 1 number is not in the baseline",
         "  frequency_hz  amplitude_v  axis    metric    baseline  now      change  allowed",
         "  50            10           x -> y  (row)     present   missing",
         "  50            10           x -> y  gain      missing   1.5",

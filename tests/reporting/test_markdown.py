@@ -13,13 +13,15 @@ import numpy as np
 import pytest
 
 from hammerstein.blocks.instruments import Instruments
+from hammerstein.dynamics import AxesDynamics
 from hammerstein.escaping import markdown
 from hammerstein.experiment.report import Report, number
 from hammerstein.experiment.run import run
 from hammerstein.metrics import KEY, METRICS, Row
+from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures import figures_of
 from hammerstein.reporting.run_page import KEYS, run_page
-from hammerstein.reporting.summary import answer, sentences
+from hammerstein.reporting.summary import answer, sentences, unsettled_runs
 from hammerstein.reporting.tables import number_tables
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
@@ -294,9 +296,15 @@ def test_a_law_that_does_not_converge_never_wins() -> None:
 def test_the_figure_that_the_scenario_names_answers_first() -> None:
     report, name = circle(), "radial_max_true_um"
     asked = replace(report, scenario=report.scenario.model_copy(update={"answered_by": name}))
-    values = {row.compensator: row.radial_max_true_um for row in report.rows}
+    values = {
+        n: max(row.radial_max_true_um for row in report.rows if row.compensator == n)
+        for n in ("paper", "none")
+    }
     told = ", ".join(f"{n} {number(values[n])}" for n in sorted(values, key=values.__getitem__))
-    assert answer(asked).startswith(f"The {METRICS[name].meaning}: {told}.")
+    worst = ", at the worst of 2 frequencies, amplitudes and axes"
+    assert answer(asked).startswith(f"The {METRICS[name].meaning}{worst}: {told}.")
+    one = replace(asked, rows=report.rows[:1])
+    assert answer(one).startswith(f"The {METRICS[name].meaning}: ")
 
 
 @cache
@@ -536,3 +544,17 @@ def test_claims_come_after_the_figures_and_name_other_actuators_in_their_details
     assert "reason" not in heads  # empty in every line
     assert re.fullmatch(r"11\d um", line[heads.index("simulated")])
     assert "Other actuators: duo" in line[heads.index("details")]
+
+
+@pytest.mark.parametrize("settle_s", [0.002, 0.3])
+def test_what_has_not_settled_is_one_sentence_for_page_and_terminal(settle_s: float, tmp_path: Path) -> None:
+    """A resonance of 1 % at 280 Hz rings for 0.06 s (time constant)."""
+    axis = {"resonance_hz": 280.0, "damping_ratio": 0.01}
+    model = HammersteinModel.load("duo_bimorph")
+    dynamics = AxesDynamics.model_validate({"axes": [axis, axis]})
+    replace(model, dynamics=dynamics).save(tmp_path / "ringing.json")
+    scenario = {"measure": {"settle_s": settle_s, "settle_cycles": 0}, "reference": SINE_UM}
+    report = report_of(actuator=str(tmp_path / "ringing.json"), compensators=[NONE], **scenario)
+    told = unsettled_runs(report)
+    assert bool(told) == (settle_s < 0.1)
+    assert told in answer(report)

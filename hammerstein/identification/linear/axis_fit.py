@@ -1,7 +1,5 @@
 """Resonance, damping, lag and creep of each axis from records, with standard errors."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -14,7 +12,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.identification.linear.axis_search import FirstGuess, Progress, uniform_grids
 from hammerstein.identification.linear.axis_steps import Point, fit_slopes, refine, residuals
-from hammerstein.identification.linear.axis_task import AxisTask, axis_of, duration_s
+from hammerstein.identification.linear.axis_task import AxisTask, axis_of
 from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
 from hammerstein.identification.rates import drive_hz, lowest_hz, several_rates
 from hammerstein.identification.sensor_model import SensorModel
@@ -68,7 +66,7 @@ class AxisFit:
     lag_error_percent: float | None = None
     excited: bool = True
     one_rate: bool = False
-    unsure: AxisFit | None = None
+    unsure: "AxisFit | None" = None
 
     @property
     def lowers_the_error(self) -> bool:
@@ -107,7 +105,7 @@ class AxisFit:
             for mode, error in zip(self.axis.creep, self.creep_gain_errors, strict=True)
         )
 
-    def with_errors(self, errors: Array) -> AxisFit:
+    def with_errors(self, errors: Array) -> "AxisFit":
         """Return the same with the standard errors of ``axis.free`` (number,)."""
         known = iter((100.0 * errors).tolist())
         resonance, lag = self.axis.resonance_hz is not None, self.axis.lag_s is not None
@@ -121,16 +119,13 @@ class AxisFit:
 
 
 def fit_axis(task: AxisTask, begin: Array) -> AxisFit:
-    """Fit one axis, starting from parameters near the best ones; creep starts from a guess if ``begin`` has
-    none.
-    """
+    """Fit one axis, starting from parameters near the best ones."""
     shape = task.shape
     static = fit_slopes(task, task.sensor_path)[1]
-    x = begin if len(begin) == shape.parameters else np.concatenate([begin[: shape.slow], _first_creep(task)])
     if not shape.parameters:
         return AxisFit(Axis(), None, None, (), static, static)
     quick = _with_few_columns(task)
-    point = refine(task, refine(quick, x).x if quick else x)
+    point = refine(task, refine(quick, begin).x if quick else begin)
     found = AxisFit(
         axis=axis_of(shape, point.x),
         resonance_error_percent=None,
@@ -219,13 +214,6 @@ def _among_harmonics(task: AxisTask, point: Point) -> bool:
     return width_hz < 2.0 * min(lowest_hz(record) for record in task.records)
 
 
-def _first_creep(task: AxisTask) -> Array:
-    """Gains and time constants to begin with: spread over what the longest record shows of slow modes."""
-    span = duration_s(task.records)
-    times = span * np.geomspace(0.02, 0.5, task.shape.creep_modes + 2)[1:-1]
-    return np.column_stack([np.full(len(times), 0.02), np.log(times)]).ravel()
-
-
 @dataclass(frozen=True, eq=False)
 class AxesFit:
     """Dynamics of all axes and the delay of the inputs."""
@@ -245,7 +233,6 @@ def fit_axes(
     starts: Sequence[InitialState],
     guess: FirstGuess,
     *,
-    creep_modes: int | None = 0,
     sensor: SensorModel | None = None,
     every: int = 1,
     progress: Progress | None = None,
@@ -258,7 +245,6 @@ def fit_axes(
     grids : thresholds of each input [V]
     starts : initial state of each record
     guess : initial guess
-    creep_modes : slow modes of each axis; None: as many as the guess has
     sensor : model of the sensor; ideal if not given
     every : of this many samples, one counts in the sums
     progress : called with the current step
@@ -272,7 +258,7 @@ def fit_axes(
             tuple(starts),
             tuple(grids),
             o,
-            shape if creep_modes is None else replace(shape, creep_modes=creep_modes),
+            shape,
             guess.delay_samples,
             sensor or SensorModel(),
             every,

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hammerstein.arrays import Array, Complex
+from hammerstein.dynamics.linear_block import transfer
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 
@@ -34,11 +35,7 @@ class Matrices(NamedTuple):
 
     def at(self, z: Complex) -> Complex:
         """Response (F, p, m) at the points z (F,)."""
-        n = len(self.A)
-        states = np.linalg.solve(
-            z[:, None, None] * np.eye(n) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
-        )
-        return np.asarray(self.C @ states + self.D)
+        return transfer(self.A, self.B, self.C, self.D, z)
 
 
 @dataclass(frozen=True, eq=False)
