@@ -285,19 +285,19 @@ def _loops(report: Report, whole: bool) -> dict[str, Figure]:
     parts = {"": report.traces} if whole else legible_parts(report.traces)
     for suffix, traces in parts.items():
         whose = f"{plain(traces[0].label)}: " if suffix else ""
-        title = _headed(f"{whose}{quantity} over {role}{mean}")
+        title = _headed(f"{quantity} over {role}{mean}", whose)
         figures[f"loops{suffix}"] = loops_figure(
             loop_runs(report, traces, true), inputs, outputs, title, ideal=not volts
         )
         errors = error_runs(report, traces)
         if errors and (whole or len({run.label for run in errors}) <= MOST_CURVES):
-            figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, _headed(f"{whose}{wrong}"))
+            figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, _headed(wrong, whose))
     return figures
 
 
-def _headed(title: str) -> str:
-    """Title with a capital letter."""
-    return title[:1].upper() + title[1:]
+def _headed(title: str, label: str = "") -> str:
+    """Title with a capital letter, or behind a label, which stays as it is written."""
+    return label + title if label else title[:1].upper() + title[1:]
 
 
 def _sweeps(report: Report, over: Over) -> dict[str, Figure]:
