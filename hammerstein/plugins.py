@@ -6,6 +6,8 @@ and what the package has for one paper alone, are found by the entry point group
 entry is a class, or a module that calls ``register``.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import entry_points
@@ -68,7 +70,7 @@ class Family(Generic[T]):
         """One of the kinds from plain data; ValidationError where it is wrong."""
         return looked_up(lambda: self.adapter().validate_python(data))
 
-    def field(self, form: Callable[[type[T]], type[BaseModel]] = lambda kind: kind) -> "Choice":
+    def field(self, form: Callable[[type[T]], type[BaseModel]] = lambda kind: kind) -> Choice:
         """Annotation of a field that holds one of the kinds, in the form that the field wants."""
         return Choice(self, form)
 

@@ -5,6 +5,8 @@ scenarios, ``pytest scenarios``. Every pytest of an environment that holds the p
 must cost nothing there, so that all else is imported when a scenario runs.
 """
 
+from __future__ import annotations
+
 import os
 import tomllib
 from collections.abc import Iterator
@@ -26,7 +28,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
     """Collect a scenario that is named on the command line, or whose folder is."""
     if file_path.suffix != ".toml" or parent.config.args_source is not pytest.Config.ArgsSource.ARGS:
         return None
@@ -39,7 +41,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioF
 class ScenarioFile(pytest.File):
     """A scenario file: one test."""
 
-    def collect(self) -> "Iterator[ScenarioItem]":
+    def collect(self) -> Iterator[ScenarioItem]:
         """Return its only test."""
         yield ScenarioItem.from_parent(self, name=self.path.stem)
 

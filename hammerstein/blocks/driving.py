@@ -5,6 +5,8 @@ point, at which they rest. A law turns the one into the other here and nowhere e
 ``HammersteinModel.static_response``.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -63,8 +65,8 @@ class DriveRange:
 
     @classmethod
     def of(
-        cls, given: "RangeLike", model: Recorded, start_v: ArrayLike | None = None, conditioned: bool = False
-    ) -> "DriveRange":
+        cls, given: RangeLike, model: Recorded, start_v: ArrayLike | None = None, conditioned: bool = False
+    ) -> DriveRange:
         """Range for a model from N (for -N to N), (low, high), or one such an input [V].
 
         start_v : (m,) voltage at which the actuator stands; the working point if not given

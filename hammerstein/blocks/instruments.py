@@ -1,5 +1,7 @@
 """Drive and sensor, between the computer and the actuator."""
 
+from __future__ import annotations
+
 import math
 from functools import lru_cache
 from typing import Annotated, Any
@@ -173,7 +175,7 @@ class Instruments(WithInfinity):
     sensor: Sensor = Field(default=Sensor(), description="position sensor")
 
     @classmethod
-    def ideal(cls, sample_time_s: float = 50e-6) -> "Instruments":
+    def ideal(cls, sample_time_s: float = 50e-6) -> Instruments:
         """Instruments without any effect but the hold."""
         return cls(
             drive=Drive(range_v=(-math.inf, math.inf), resolution_v=0.0, sample_time_s=sample_time_s),

@@ -1,5 +1,7 @@
 """Recorded voltages and verdict of the identification, as stored in a model file."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Literal, Self
 
@@ -40,7 +42,7 @@ class Voltages(Strict):
         return self
 
     @classmethod
-    def of(cls, working_point_v: ArrayLike, lowest_v: ArrayLike, highest_v: ArrayLike) -> "Voltages":
+    def of(cls, working_point_v: ArrayLike, lowest_v: ArrayLike, highest_v: ArrayLike) -> Voltages:
         """Voltages (m,) of records; the sign of poling follows from them.
 
         >>> Voltages.of([0.0, 0.0], [-20.0, -50.0], [120.0, 50.0]).poling
@@ -52,7 +54,7 @@ class Voltages(Strict):
         return cls(**values, poling=tuple(map(_poling, values["lowest_v"], values["highest_v"])))
 
     @classmethod
-    def symmetric(cls, amplitude_v: float, inputs: int) -> "Voltages":
+    def symmetric(cls, amplitude_v: float, inputs: int) -> Voltages:
         """About 0 V, as for a model file that does not say."""
         ends = np.full(inputs, amplitude_v)
         return cls.of(np.zeros(inputs), -ends, ends)

@@ -1,5 +1,7 @@
 """One law on one path: drive, predicted motion, expected error, and remedies where it does not reach."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -48,7 +50,7 @@ class Attempt:
         compensator: Compensator,
         reference_um: Array,
         lead: int = 0,
-    ) -> "Attempt":
+    ) -> Attempt:
         """Design the law, and drive the model with it."""
         drive = drive_within(model, limits)
         law = sensorless_law(compensator, {}, model, limits, drive.sample_time_s)
@@ -168,7 +170,7 @@ class Prediction:
     noise: float
 
     @classmethod
-    def of(cls, model: HammersteinModel, attempt: Attempt) -> "Prediction":
+    def of(cls, model: HammersteinModel, attempt: Attempt) -> Prediction:
         """Contributions to the error of a drive."""
         half, verdict = half_span_v(model), model.verdict
         volts = float(half.max()) if np.isfinite(half).all() else 1.0

@@ -1,5 +1,7 @@
 """Iterative learning: next drive of a periodic path, from the last one and its readings, and as a law."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -116,7 +118,7 @@ class IlcUpdate:
     learnt: int
     slowest: float
     limit_hz: float
-    before: "IlcUpdate | None" = None
+    before: IlcUpdate | None = None
 
     @property
     def square_um2(self) -> float:
@@ -138,11 +140,11 @@ class IlcUpdate:
         """Whether this trial is worse than the one before, beyond the noise."""
         return self.before is not None and self.worse_than(self.before)
 
-    def after(self, before: "IlcUpdate", drive_v: Array) -> "IlcUpdate":
+    def after(self, before: IlcUpdate, drive_v: Array) -> IlcUpdate:
         """Compare with the trial before, and keep its drive (m, N) if this trial is worse."""
         return replace(self, before=before, drive_v=drive_v if self.worse_than(before) else self.drive_v)
 
-    def worse_than(self, before: "IlcUpdate") -> bool:
+    def worse_than(self, before: IlcUpdate) -> bool:
         """Whether this trial is farther off than one before, by more than the noise of both."""
         return self.square_um2 > before.square_um2 + float(np.hypot(self.doubt_um2, before.doubt_um2))
 

@@ -1,5 +1,7 @@
 """Dynamics with hysteresis in their loop, as a model file names them: of matrices, or of a data sheet."""
 
+from __future__ import annotations
+
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -107,7 +109,7 @@ class FeedbackHysteresisDynamics(MatrixForm):
         sample_time_s: float | None = None,
         products: InputProducts | None = None,
         **matrices: ArrayLike,
-    ) -> "FeedbackHysteresisDynamics":
+    ) -> FeedbackHysteresisDynamics:
         """Keep matrices A to H and a hysteresis; ValueError where their shapes do not fit."""
         rows = {name: tuple(map(tuple, np.asarray(m).tolist())) or None for name, m in matrices.items()}
         curved = ProductsFile.of(products) if products else None

@@ -1,5 +1,7 @@
 """How large a scenario is, found out before it starts: memory and time of each of its parts."""
 
+from __future__ import annotations
+
 import contextlib
 import itertools
 import math
@@ -95,7 +97,7 @@ class Plan:
         """Results that come out and are kept."""
         return {part.once for part in self.parts} - {None}
 
-    def without(self, kept: Set[Hashable]) -> "Plan":
+    def without(self, kept: Set[Hashable]) -> Plan:
         """Rest of the work if others provide these results."""
         return Plan(tuple(part for part in self.parts if part.once not in kept))
 

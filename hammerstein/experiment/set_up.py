@@ -3,6 +3,8 @@
 reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, with all signals
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -70,7 +72,7 @@ class Window:
     settle_cycles: int
 
     @classmethod
-    def of(cls, scenario: Scenario, signal: Reference | Excitation, sample_time_s: float) -> "Window":
+    def of(cls, scenario: Scenario, signal: Reference | Excitation, sample_time_s: float) -> Window:
         """Whole cycles before the measurement, then the measured ones."""
         measure, period = scenario.measure, signal.period_s
         if not signal.periodic:

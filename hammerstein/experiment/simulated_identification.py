@@ -3,6 +3,8 @@
 The model that comes out has seen the actuator only through its drive and its sensor.
 """
 
+from __future__ import annotations
+
 import math
 import threading
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
@@ -109,7 +111,7 @@ class IlcRuns:
         self._lock = threading.Lock()
         self._found: WeakKeyDictionary[Plant, dict[Hashable, IlcRun]] = WeakKeyDictionary()
 
-    def __reduce__(self) -> "tuple[type[IlcRuns], tuple[()]]":
+    def __reduce__(self) -> tuple[type[IlcRuns], tuple[()]]:
         """Another process begins its own: the numbers are the same."""
         return IlcRuns, ()
 
@@ -226,7 +228,7 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
 
 
 def _with_creep(
-    plant: Plant, spec: JointFitSpec, drive: "_Excursion", model: HammersteinModel, seeds: list[int]
+    plant: Plant, spec: JointFitSpec, drive: _Excursion, model: HammersteinModel, seeds: list[int]
 ) -> HammersteinModel:
     """Add the creep of every axis, from one slow record of slow steps on all inputs.
 
@@ -250,7 +252,7 @@ def _with_creep(
     return replace(model, dynamics=slow, covariance=known)
 
 
-def _records(plant: Plant, spec: JointFitSpec, drive: "_Excursion", seeds: list[int]) -> list[Record]:
+def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[int]) -> list[Record]:
     """One record an input; the inputs are driven one after the other, and the actuator keeps its memory."""
     highest = max(spec.frequencies_hz)
     lowest = LOWEST_LINE_HZ if highest > 2.0 * LOWEST_LINE_HZ else 0.5 * highest
@@ -284,7 +286,7 @@ def _records(plant: Plant, spec: JointFitSpec, drive: "_Excursion", seeds: list[
 
 
 def _settled_loop(
-    setup: Plant, spec: ClosedFormSpec, drive: "_Excursion", k: int, seeds: list[int]
+    setup: Plant, spec: ClosedFormSpec, drive: _Excursion, k: int, seeds: list[int]
 ) -> tuple[Array, Array]:
     """Mean settled cycle of the voltage about its middle (phase,) and of the readings (output, phase)."""
     period = 1.0 / spec.frequency_hz
@@ -320,7 +322,7 @@ class _Excursion(NamedTuple):
     amplitude_v: Array
 
     @classmethod
-    def of(cls, plant: Plant, amplitude_v: float | None) -> "_Excursion":
+    def of(cls, plant: Plant, amplitude_v: float | None) -> _Excursion:
         """With an amplitude, or that of the actuator; IdentificationError where the drive would cut it."""
         known = plant.model.recorded
         low, high = np.array(known.lowest_v), np.array(known.highest_v)

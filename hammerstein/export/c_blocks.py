@@ -1,5 +1,7 @@
 """What a block of hysteresis or dynamics gives to a template: sizes, tables, and where it starts."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import singledispatch
@@ -69,7 +71,7 @@ class CPart:
     start: Mapping[str, Any] = field(default_factory=dict)
     values: Mapping[str, Any] = field(default_factory=dict)
 
-    def __add__(self, other: "CPart") -> "CPart":
+    def __add__(self, other: CPart) -> CPart:
         return CPart(
             self.sizes + other.sizes,
             self.tables + other.tables,

@@ -1,5 +1,7 @@
 """The C compiler of this machine, exported code as a library of this process, and a signal to try it with."""
 
+from __future__ import annotations
+
 import ctypes
 import errno
 import os
@@ -81,7 +83,7 @@ class Library:
         build([str(source), "-shared", "-fPIC", "-o", str(place)], flags, command)
         self._library: Any = ctypes.CDLL(str(place))
 
-    def __enter__(self) -> "Library":
+    def __enter__(self) -> Library:
         return self
 
     def __exit__(self, *_: object) -> None:

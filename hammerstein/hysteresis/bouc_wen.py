@@ -1,5 +1,7 @@
 """The multivariable classical Bouc-Wen model: a straight line less a signal that lags behind the voltage."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Sequence
@@ -250,7 +252,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
             for row in self.pairs
         )
 
-    def with_weights(self, weights: Sequence[ArrayLike]) -> "BoucWen":
+    def with_weights(self, weights: Sequence[ArrayLike]) -> BoucWen:
         """Return the same beta and gamma with other d and a."""
         rows = [
             [
@@ -262,7 +264,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         return BoucWen(tuple(map(tuple, rows)))
 
     @classmethod
-    def first_guesses(cls, driven: Driven) -> "list[BoucWen]":
+    def first_guesses(cls, driven: Driven) -> list[BoucWen]:
         """Blocks whose pairs all bend alike in parts of the swing; see ``Identifiable``."""
         driven.refuse_still()
         found = []
@@ -278,7 +280,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         pairs = [(pair.load_per_v, pair.beta_per_v) for row in self.pairs for pair in row]
         return np.array([x for load, beta in pairs for x in (math.log(load), math.log(beta / load))])
 
-    def at(self, free: Array) -> "BoucWen":
+    def at(self, free: Array) -> BoucWen:
         """Return the same d and a with other beta and gamma."""
         numbers = iter(np.exp(free.reshape(-1, 2)).tolist())
 

@@ -1,5 +1,7 @@
 """Play operators: one, a bank of them with weights and how well these are known, all of a model."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -124,12 +126,12 @@ class Pair(ByValue):
         refuse("Prandtl-Ishlinskii pair", mistakes)
 
     @classmethod
-    def linear(cls, gain_um_per_v: float) -> "Pair":
+    def linear(cls, gain_um_per_v: float) -> Pair:
         """Pass the input times a gain [um/V]."""
         return cls(frozen([0.0]), frozen([gain_um_per_v]))
 
     @classmethod
-    def absent(cls) -> "Pair":
+    def absent(cls) -> Pair:
         """Respond to nothing."""
         return cls(frozen([]), frozen([]))
 
@@ -250,7 +252,7 @@ class Bank:
     scale: Array
 
     @classmethod
-    def of(cls, pairs: Sequence[Sequence[Pair]]) -> "Bank":
+    def of(cls, pairs: Sequence[Sequence[Pair]]) -> Bank:
         """Merge the pairs (output, input) onto one grid an input."""
         p, m = len(pairs), len(pairs[0])
         grids = [np.unique(np.concatenate([pairs[o][k].thresholds_v for o in range(p)])) for k in range(m)]

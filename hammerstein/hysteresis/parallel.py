@@ -1,5 +1,7 @@
 """Blocks of several kinds side by side: an actuator that is asymmetric and rate-dependent at once."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
@@ -80,11 +82,11 @@ class Parallel(Hysteresis[ParallelState]):
         """Short description."""
         return " beside ".join(f"{part.kind} ({part.describe()})" for part in self.parts)
 
-    def on_grid(self, sample_time_s: float) -> "Parallel":
+    def on_grid(self, sample_time_s: float) -> Parallel:
         """Return the block on a sample grid."""
         return replace(self, parts=tuple(part.on_grid(sample_time_s) for part in self.parts))
 
-    def counted_from(self, working_point_v: ArrayLike) -> "Parallel":
+    def counted_from(self, working_point_v: ArrayLike) -> Parallel:
         """Return the same block for voltages relative to a working point (m,) [V]."""
         return replace(self, parts=tuple(part.counted_from(working_point_v) for part in self.parts))
 
@@ -116,7 +118,7 @@ class Parallel(Hysteresis[ParallelState]):
         """Weights of each output, part after part [um/V]."""
         return tuple(np.concatenate(rows) for rows in zip(*(p.weights for p in self.parts), strict=True))
 
-    def with_weights(self, weights: Sequence[ArrayLike]) -> "Parallel":
+    def with_weights(self, weights: Sequence[ArrayLike]) -> Parallel:
         """Return the same operators with other weights."""
         parts, first = [], [0] * self.n_outputs
         for part in self.parts:
@@ -131,7 +133,7 @@ class Parallel(Hysteresis[ParallelState]):
         """None: it is not identified."""
         return None
 
-    def file(self) -> "ParallelFile":
+    def file(self) -> ParallelFile:
         """Form in a model file."""
         return ParallelFile.model_validate({"parts": [part.file() for part in self.parts]})
 

@@ -1,5 +1,7 @@
 """Rate-dependent hysteresis: play operators whose thresholds grow with the rate of the voltage."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Sequence
@@ -185,7 +187,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
                 w[k, : n[k], o] = row[k]
         return RateBank(n, r, b, np.array([plays.lambda_s_per_v for plays in self.inputs]), w)
 
-    def on_grid(self, sample_time_s: float) -> "RateDependent":
+    def on_grid(self, sample_time_s: float) -> RateDependent:
         """Return the block on a sample grid."""
         return self if sample_time_s == self.sample_time_s else replace(self, sample_time_s=sample_time_s)
 
@@ -259,14 +261,14 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         """Weights of each output, input after input [um/V]."""
         return tuple(np.concatenate(row) for row in self.weights_um_per_v)
 
-    def with_weights(self, weights: Sequence[ArrayLike]) -> "RateDependent":
+    def with_weights(self, weights: Sequence[ArrayLike]) -> RateDependent:
         """Return the same plays with other weights."""
         ends = np.cumsum([len(plays.thresholds_v) for plays in self.inputs])[:-1]
         rows = tuple(tuple(np.split(np.asarray(own, dtype=np.float64), ends)) for own in weights)
         return replace(self, weights_um_per_v=rows, weight_covariance=None)
 
     @classmethod
-    def first_guesses(cls, driven: Driven) -> "list[RateDependent]":
+    def first_guesses(cls, driven: Driven) -> list[RateDependent]:
         """Blocks with one growth for all plays but play(0); see ``Identifiable``."""
         for name, several in zip(driven.inputs, driven.several_rates, strict=True):
             if not several:
@@ -290,7 +292,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         """Thresholds of each input [V]."""
         return tuple(plays.thresholds_v for plays in self.inputs)
 
-    def at_places(self, places: Sequence[Array]) -> "RateDependent":
+    def at_places(self, places: Sequence[Array]) -> RateDependent:
         """Return plays with other thresholds; what falls below 0 lies as far above it."""
         each = zip(self.inputs, places, strict=True)
         plays = tuple(replace(own, thresholds_v=np.sort(np.abs(r))) for own, r in each)
@@ -303,7 +305,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         growth = [max(float(plays.growth_s[-1]), 1e-300) for plays in self.inputs]
         return np.array([*(math.log(2.0 * math.pi * hz * b) for b in growth), math.log(hz)])
 
-    def at(self, free: Array) -> "RateDependent":
+    def at(self, free: Array) -> RateDependent:
         """Return the same plays with other growth, alike for all but play(0), and another bandwidth."""
         *gains, hz = np.exp(free).tolist()
         each = zip(self.inputs, gains, strict=True)
@@ -341,7 +343,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         side[first : first + sizes[input_]], bound[first] = np.sign(least), least
         return Bounds(np.eye(len(side)), side, bound)
 
-    def without_own(self) -> "tuple[RateDependent, str]":
+    def without_own(self) -> tuple[RateDependent, str]:
         """Plays whose thresholds do not grow."""
         still = tuple(replace(plays, growth_s=np.zeros(len(plays.growth_s))) for plays in self.inputs)
         return replace(self, inputs=still, weight_covariance=None), "growth of the thresholds with the rate"

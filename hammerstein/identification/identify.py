@@ -171,7 +171,7 @@ def fit_plays(
     tell("testing the models")
     built, trials = _kept(task, built)
     errors = Errors({}, {}, held, held_starts, response, trials)
-    return Prepared(tuple(records), replace(task, progress=_silent), built, curve, settle_s, errors)
+    return Prepared(records, replace(task, progress=_silent), built, curve, settle_s, errors)
 
 
 @_told

@@ -1,5 +1,7 @@
 """Other kinds of hysteresis in place of the classical block of a model, fitted to the same records."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -138,7 +140,7 @@ def _thresholds_of_plays(built: CandidateSet) -> Thresholds:
     return [[pair.thresholds_v for pair in row] for row in pairs]
 
 
-def _untold(task: Task, thresholds_v: Thresholds, found: "HammersteinFit") -> str:
+def _untold(task: Task, thresholds_v: Thresholds, found: HammersteinFit) -> str:
     """Parameters of a kind that the records do not identify: without them, plays are as good."""
     block = found.block.hysteresis
     own = block.without_own() if isinstance(block, Identifiable) else None
@@ -167,7 +169,7 @@ def _better(
     return {kind: min([one, others.get(kind, one)], key=left) for kind, one in found.items()}
 
 
-def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> "HammersteinFit":
+def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> HammersteinFit:
     """Block without dynamics: with the delay known, or the shortest that is as good as any.
 
     What went before the records was judged with plays. It is judged anew with the block itself once the delay
@@ -189,7 +191,7 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> "Hammerst
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 
 
-def _first_as_good(task: Task, found: "Sequence[HammersteinFit]") -> "HammersteinFit":
+def _first_as_good(task: Task, found: Sequence[HammersteinFit]) -> HammersteinFit:
     """The first of several models that no other one is beyond doubt better than."""
     return found[chosen([replace(t, parameters=i) for i, t in enumerate(trials_of(task, found))])]
 
@@ -202,7 +204,7 @@ def _free_delay(task: Task) -> bool:
     return task.settings.delay_samples is None and one_time and not kind.passes_for_delay
 
 
-def trials_of(task: Task, tried: "Sequence[HammersteinFit]") -> list[Trial]:
+def trials_of(task: Task, tried: Sequence[HammersteinFit]) -> list[Trial]:
     """What speaks for each model: its errors on folds of the fitted records.
 
     All are judged on the same samples: a beginning that one of them explains counts for all.
@@ -217,7 +219,7 @@ def trials_of(task: Task, tried: "Sequence[HammersteinFit]") -> list[Trial]:
 
 
 def _judged_alike(
-    task: Task, one: "HammersteinFit", tried: "Sequence[HammersteinFit]"
+    task: Task, one: HammersteinFit, tried: Sequence[HammersteinFit]
 ) -> tuple[InitialState, ...]:
     """Initial states for judging one of several models; those of its fit where they explain the record."""
     simpler = [other.candidate.predict for other in tried if other is not one]

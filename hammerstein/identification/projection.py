@@ -10,6 +10,8 @@ Problems 19 (2003) R1; Marquardt 1963). Fitted in turn, thresholds that grow wit
 would each take what belongs to the other.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -124,7 +126,7 @@ def fit_block(
     return search.result(search.begun())
 
 
-def _axes_of(place: "_Place", found: OutputDynamics) -> tuple[Axis, ...]:
+def _axes_of(place: _Place, found: OutputDynamics) -> tuple[Axis, ...]:
     """Axes of a place, none where there are none."""
     each = zip(found.axes, place.x, strict=False)
     return tuple(axis_of(parameters_of(axis)[0], x) for axis, x in each)

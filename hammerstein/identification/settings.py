@@ -1,5 +1,7 @@
 """How an identification is done: one value, checked once."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -93,7 +95,7 @@ class Settings(ByValue):
 
     def __post_init__(self) -> None:
         for name in ("operators", "creep_modes", "delay_samples"):
-            if isinstance(value := getattr(self, name), np.integer | float) and value == int(value):
+            if isinstance(value := getattr(self, name), np.integer | float) and float(value).is_integer():
                 object.__setattr__(self, name, int(value))
         unknown = [
             Mistake(name, unknown_word(getattr(self, name), known))
@@ -102,7 +104,7 @@ class Settings(ByValue):
         ]
         refuse("identification", [*unknown, *self._misfits(), *self._bad_numbers()])
 
-    def without_auto(self) -> "Settings":
+    def without_auto(self) -> Settings:
         """The same with plain choices for what would be found from the records by plays alone.
 
         A kind of hysteresis that is no bank of plays would be chosen by what plays make of its own effects: a
@@ -114,7 +116,7 @@ class Settings(ByValue):
             chosen["creep_modes"] = 0  # those that are asked for stand behind the kind itself
         return replace(self, **chosen)
 
-    def with_plays(self) -> "Settings":
+    def with_plays(self) -> Settings:
         """The same with plays in place of another kind of hysteresis."""
         return replace(self, hysteresis=PLAYS, dead_zones=None)
 

@@ -1,5 +1,7 @@
 """Records during their identification, and the models that were fitted to them."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -62,7 +64,7 @@ class Task:
         """Whole samples of the delay, which shift the plays; the remainder belongs to the path."""
         return math.floor(self.delay_samples)
 
-    def delayed_as(self, dynamics: Dynamics) -> "Task":
+    def delayed_as(self, dynamics: Dynamics) -> Task:
         """Return the task with the delay of a linear block."""
         delay = delay_in_samples(dynamics.input_delay_s, self.records[0].sample_time_s)
         return replace(self, delay_samples=delay)

@@ -1,5 +1,7 @@
 """How sure all parameters of a model are, together, and draws of the actuators that it may as well be."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -58,7 +60,7 @@ class ParameterCovariance(ByValue):
         moved = [np.linalg.norm(m @ self.factor, axis=1) for m in self.following]
         return tuple(np.hypot(own, follow) for own, follow in zip(given, moved, strict=True))
 
-    def beside_creep(self, before: Dynamics, after: AxesDynamics) -> "ParameterCovariance":
+    def beside_creep(self, before: Dynamics, after: AxesDynamics) -> ParameterCovariance:
         """Give the same where slow modes, which are held, have come behind the numbers of the axes before."""
         axes = before.axes if isinstance(before, AxesDynamics) else (Axis(),) * len(after.axes)
         ends = (

@@ -1,5 +1,7 @@
 """Judgements of claims on simulated actuators, and causes of disagreement."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -38,7 +40,7 @@ class Simulated:
     shown: str
 
     @classmethod
-    def of(cls, actuator: str, claim: Claim, values: Sequence[float]) -> "Simulated":
+    def of(cls, actuator: str, claim: Claim, values: Sequence[float]) -> Simulated:
         """Judge a claim by its figure in every run; the first is of the run itself."""
         verdicts = {None if math.isnan(v) else claim.agreement.holds(v, claim.paper) for v in values}
         known = [value for value in values if math.isfinite(value)] or [math.nan]
@@ -104,7 +106,7 @@ class Change:
     agrees: bool
 
     @classmethod
-    def of(cls, factor: str, words: str, claim: Claim, values: Sequence[float]) -> "Change":
+    def of(cls, factor: str, words: str, claim: Claim, values: Sequence[float]) -> Change:
         """Judge a change by its figure in every run.
 
         A single run is enough to say that it does not bring agreement; two of its digits are shown, or three

@@ -1,5 +1,7 @@
 """All claims and figures of a run on one page, and the claims as a table."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +128,7 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
     )
 
 
-def readings_of(reports: Sequence[Report]) -> "list[Met]":
+def readings_of(reports: Sequence[Report]) -> list[Met]:
     """The counted claims of all reports, by the actuator that they were asked of."""
     counted = [j for report in reports for j in claimed(report) if not j.calibrated]
     return [
@@ -145,7 +147,7 @@ class Met:
     open: tuple[str, ...]
 
     @classmethod
-    def of(cls, actuator: str, judgements: Sequence[ClaimJudgement]) -> "Met":
+    def of(cls, actuator: str, judgements: Sequence[ClaimJudgement]) -> Met:
         """Sort the claims of one actuator."""
         asked = [(j.id, one.agrees) for j in judgements for one in j.simulated if one.actuator == actuator]
         sorted_ = (tuple(name for name, agrees in asked if agrees is kind) for kind in (True, False, None))

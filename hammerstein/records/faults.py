@@ -4,6 +4,8 @@ Every suspicion is a comparison: the outputs are fitted by plays and delayed cop
 they are and once with what the fault would add. A fault is named only where that explains far more.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from pathlib import PurePath
 from typing import NamedTuple
@@ -130,7 +132,7 @@ class _Trial(NamedTuple):
     both: tuple[Array, float]
 
     @classmethod
-    def of(cls, x: Array, y: Array) -> "_Trial":
+    def of(cls, x: Array, y: Array) -> _Trial:
         """Fits of an output (sample,) by regressors (column, sample)."""
         n = len(x)
         weights, plain = Products.of(np.vstack([x, y])).fit(range(n), n)

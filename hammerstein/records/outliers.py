@@ -6,6 +6,8 @@ excluded if its error is far larger than elsewhere. A suspect voltage is exclude
 as well without it. Sharp edges, pulses and ringing that the outputs follow are kept.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -61,7 +63,7 @@ class Products:
     samples: int
 
     @classmethod
-    def of(cls, signals: Array) -> "Products":
+    def of(cls, signals: Array) -> Products:
         """Products of signals (signal, sample)."""
         count, samples = signals.shape
         whole = samples - samples % CHUNK

@@ -8,6 +8,8 @@ How a column is named
     that of time. The axis of time of an array is its longest one.
 """
 
+from __future__ import annotations
+
 import difflib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -105,7 +107,7 @@ class Header:
     units: tuple[Unit | None, ...]
 
     @classmethod
-    def of(cls, path: str | Path) -> "Header":
+    def of(cls, path: str | Path) -> Header:
         """Return that of a file; an array is known by its name and by the unit that the file states.
 
         Raises

@@ -1,5 +1,7 @@
 """A record of an actuator: voltages, displacements, how its inputs were driven, what is mended in it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from itertools import chain
@@ -158,7 +160,7 @@ class Record(NotebookRepr):
         """Samples a second [Hz]."""
         return 1.0 / self.sample_time_s
 
-    def part(self, start: int, stop: int) -> "Record":
+    def part(self, start: int, stop: int) -> Record:
         """Samples start to stop - 1 as a record of their own; they keep their row numbers."""
         u, y, rows = self.u_v[:, start:stop], self.y_um[:, start:stop], self.rows[start:stop]
         return replace(self, u_v=u, y_um=y, rows=rows, verified=True)

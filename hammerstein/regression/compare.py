@@ -1,5 +1,7 @@
 """Accepted numbers of a scenario, their file, and a report compared with them: every number, both ways."""
 
+from __future__ import annotations
+
 import difflib
 import hashlib
 import json
@@ -56,7 +58,7 @@ class Baseline:
     rows: Numbers
 
     @classmethod
-    def of(cls, report: Report) -> "Baseline":
+    def of(cls, report: Report) -> Baseline:
         """Return the numbers of a report.
 
         Raises
@@ -75,7 +77,7 @@ class Baseline:
         return cls(report.digest, report.model_digest, rows)
 
     @classmethod
-    def load(cls, path: Path) -> "Baseline":
+    def load(cls, path: Path) -> Baseline:
         """Read a baseline file; InputError with every mistake in it."""
         text = read_limited(path, what="baseline")
         with mistakes_in(str(path), BaselineFile):
@@ -96,7 +98,7 @@ class Baseline:
         )
         return f"{{\n{_digest_line(text)}\n{text}"
 
-    def save(self, path: Path, overwrite: bool = False) -> "SavedBaseline":
+    def save(self, path: Path, overwrite: bool = False) -> SavedBaseline:
         """Write the file in one piece, unless it holds the same already.
 
         A baseline that a person has changed is kept under another name, unless it may be overwritten.

@@ -1,5 +1,7 @@
 """The account of an identification as a page for people and as JSON for programs."""
 
+from __future__ import annotations
+
 import json
 import math
 import shlex

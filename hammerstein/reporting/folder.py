@@ -3,6 +3,8 @@
 Nothing is run or drawn again where the store has it and nothing has changed for it.
 """
 
+from __future__ import annotations
+
 import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -106,7 +108,7 @@ class Writer:
     overwrite: bool = False
     png: bool = False
 
-    def on(self, jobs: Jobs) -> "Writer":
+    def on(self, jobs: Jobs) -> Writer:
         """Return the writer of what these workers find."""
         elsewhere = getattr(jobs, "elsewhere", "")
         return self if self.store is None else replace(self, store=self.store.computed(elsewhere))

@@ -1,5 +1,7 @@
 """The answer of a report in plain sentences, made from its rows."""
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -79,7 +81,7 @@ class Contest:
     idle: frozenset[str]
 
     @classmethod
-    def of(cls, report: Report, quote: Quote) -> "Contest":
+    def of(cls, report: Report, quote: Quote) -> Contest:
         """Return the contest of a report."""
         said = [text for text in report.statements if DIVERGES in text]
         labels = labels_of(report.rows)
@@ -299,7 +301,7 @@ def unsettled_runs(report: Report) -> str:
     after = "raise settle_cycles or settle_s in [measure]"
     if never:
         some = f"{after} (does not help {never} of them)"
-        after = some if never < len(texts) else "more cycles do not help, see the report"
+        after = some if never < len(texts) else "more cycles do not help, see the limits of these results"
     named = f"{len(texts)} of {runs} runs had not settled: {_grouped(texts)}"
     named = named if len(texts) != runs else "No run had settled"
     return f"{named}. These numbers still change; {after}."

@@ -1,5 +1,7 @@
 """Which files of a folder this program wrote, so that none else is lost, and their exchange for new ones."""
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os
@@ -95,7 +97,7 @@ class Manifest:
     files: Mapping[str, FileEntry]
 
     @classmethod
-    def read(cls, folder: Path) -> "Manifest":
+    def read(cls, folder: Path) -> Manifest:
         """Read the manifest of a folder; a missing or spoilt one lists nothing: nothing is touched."""
         path = folder / MANIFEST
         try:

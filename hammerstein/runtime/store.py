@@ -5,6 +5,8 @@ read it, and several runs may share the folder. When the folder grows too large,
 entries are removed.
 """
 
+from __future__ import annotations
+
 import contextlib
 import hashlib
 import io
@@ -208,7 +210,7 @@ class Store:
             self._unseen = 0
             self._shrink()
 
-    def computed(self, elsewhere: str) -> "Store":
+    def computed(self, elsewhere: str) -> Store:
         """Return the same store for what is worked out by other processors; nothing is taken for ours."""
         return Store(self.folder, self.fresh, self.limit_bytes, elsewhere) if elsewhere else self
 

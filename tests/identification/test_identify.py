@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -358,11 +359,8 @@ def test_settings_name_every_mistake_at_once():
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("operators", 2.5),
-        ("operators", True),
-        ("creep_modes", "yes"),
-        ("creep_modes", 1.5),
-        ("delay_samples", 1.5),
+        *(("operators", 2.5), ("operators", True), ("creep_modes", "yes"), ("creep_modes", 1.5)),
+        *(("delay_samples", value) for value in (1.5, True, math.inf, math.nan)),
     ],
 )
 def test_numbers_of_things_are_whole(name, value):

@@ -1,5 +1,7 @@
 """The exact inverse of the multivariable model: Gamma(U) = Y_r in every sample, cross-couplings included."""
 
+from __future__ import annotations
+
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
@@ -45,7 +47,7 @@ class Recovery(NamedTuple):
     gain: Array
 
     @classmethod
-    def none(cls, outputs: int) -> "Recovery":
+    def none(cls, outputs: int) -> Recovery:
         """That of no block at all."""
         return cls(np.zeros((0, 0)), np.zeros((0, outputs)), np.zeros((outputs, 0)))
 

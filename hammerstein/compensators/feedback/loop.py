@@ -1,5 +1,7 @@
 """The loop that a controller closes around an actuator: response, poles, sensitivity, and its gains."""
 
+from __future__ import annotations
+
 import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -36,7 +38,7 @@ class Gains:
     crossover_hz: Array | None = None
     sensitivity: float | None = None
 
-    def scaled(self, factor: float) -> "Gains":
+    def scaled(self, factor: float) -> Gains:
         """Return all gains times a factor; what was computed for the old ones is dropped."""
         return Gains(factor * self.proportional, factor * self.integral_per_s, factor * self.derivative_s)
 

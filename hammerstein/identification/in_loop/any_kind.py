@@ -1,5 +1,7 @@
 """Hysteresis of any kind in the loop: all numbers at once, from simulated outputs."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, cast
@@ -48,7 +50,7 @@ class OpenLoop:
         own = [getattr(self.block, name)[free] for name, free in self.entries.items()]
         return np.concatenate([*own, cast(Adjustable, self.block.hysteresis).free])
 
-    def at(self, vector: Array) -> "OpenLoop":
+    def at(self, vector: Array) -> OpenLoop:
         """Give the block whose ``vector`` this is."""
         found, first = {}, 0
         for name, free in self.entries.items():

@@ -1,5 +1,7 @@
 """All numbers of plays inside the loop of a linear block, as one vector that a search moves."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -62,7 +64,7 @@ class LoopParameters:
         parts = [getattr(self, name).ravel() for name in SEARCHED]
         return np.concatenate([*parts, np.log(self.r).ravel()])
 
-    def at(self, vector: Array) -> "LoopParameters":
+    def at(self, vector: Array) -> LoopParameters:
         """Return the block whose ``vector`` this is."""
         found, first = {}, 0
         for name in SEARCHED:
@@ -226,7 +228,7 @@ class LoopParameters:
         )
 
     @classmethod
-    def load(cls, file: Path) -> "LoopParameters":
+    def load(cls, file: Path) -> LoopParameters:
         """Read what ``save`` wrote; InputError for another file."""
         try:
             content = json.loads(read_limited(file, what=WHAT))

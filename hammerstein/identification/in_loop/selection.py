@@ -1,5 +1,7 @@
 """Experiments that choose the structure of a loop, and the errors of any model on them."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -27,7 +29,7 @@ class Selection:
     held: Sequence[SettledPeriod]
 
     @classmethod
-    def of(cls, periods: Sequence[SettledPeriod]) -> "Selection":
+    def of(cls, periods: Sequence[SettledPeriod]) -> Selection:
         """Hold back one of ``HELD`` in the order of their amplitudes.
 
         Without the largest amplitudes, the others do not determine what the hysteresis does there.

@@ -1,5 +1,7 @@
 """Resonance, damping, lag and creep of each axis from records, with standard errors."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Sequence
@@ -66,7 +68,7 @@ class AxisFit:
     lag_error_percent: float | None = None
     excited: bool = True
     one_rate: bool = False
-    unsure: "AxisFit | None" = None
+    unsure: AxisFit | None = None
 
     @property
     def lowers_the_error(self) -> bool:
@@ -105,7 +107,7 @@ class AxisFit:
             for mode, error in zip(self.axis.creep, self.creep_gain_errors, strict=True)
         )
 
-    def with_errors(self, errors: Array) -> "AxisFit":
+    def with_errors(self, errors: Array) -> AxisFit:
         """Return the same with the standard errors of ``axis.free`` (number,)."""
         known = iter((100.0 * errors).tolist())
         resonance, lag = self.axis.resonance_hz is not None, self.axis.lag_s is not None

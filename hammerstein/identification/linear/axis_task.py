@@ -1,5 +1,7 @@
 """One axis during its fit: what stays fixed, and the paths that its parameters make."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -68,7 +70,7 @@ class Derivatives:
         held = float(self.weights @ columns)
         return held * self._of_one if held else np.zeros_like(self._matrices[1])
 
-    def among(self, columns: NDArray[np.intp]) -> "Derivatives":
+    def among(self, columns: NDArray[np.intp]) -> Derivatives:
         """The same for the columns of these numbers; all others are zero."""
         return replace(self, weights=self.weights[columns])
 
@@ -162,7 +164,7 @@ class AxisTask:
         """Columns whose slopes are fitted: those of all inputs, or the sums kept of them."""
         return len(self.kept[0].held) if self.kept else sum(map(len, self.grids))
 
-    def mixed(self, slopes: Array) -> "AxisTask":
+    def mixed(self, slopes: Array) -> AxisTask:
         """The task with few columns, kept in memory: outputs of given slopes, and a few plays beside them.
 
         Each input has one column for its given slopes, and three columns for thirds of its slope changes.

@@ -1,5 +1,7 @@
 """Linear blocks that couple the outputs: a state-space model, and the static block in front of it."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -101,7 +103,7 @@ class ModalCopies:
     through: float
 
     @classmethod
-    def of(cls, block: LinearBlock, output: int, input_: int) -> "ModalCopies":
+    def of(cls, block: LinearBlock, output: int, input_: int) -> ModalCopies:
         """Path of a block from one input to one output."""
         poles, vectors = (part.astype(np.complex128) for part in np.linalg.eig(block.A))
         b = np.linalg.solve(vectors, block.B[:, input_])
@@ -173,7 +175,7 @@ class _Joint(NamedTuple):
     own: tuple[slice, ...]
 
     @classmethod
-    def of(cls, layout: SlopeColumns, outputs: Sequence[Moments]) -> "_Joint":
+    def of(cls, layout: SlopeColumns, outputs: Sequence[Moments]) -> _Joint:
         merge = _block_diagonal(layout.merge)
         weight = [1.0 / max(float(moment.power[0]), np.finfo(float).tiny) for moment in outputs]
         gram = np.sum([w * m.gram for w, m in zip(weight, outputs, strict=True)], axis=0)

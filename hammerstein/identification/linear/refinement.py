@@ -1,5 +1,7 @@
 """Nonlinear least-squares refinement of a state-space model on weighted lines."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -55,7 +57,7 @@ class _Blocks:
             total += float(np.sum(error.real**2 + error.imag**2))
         return total
 
-    def moved(self, step: Array) -> "_Blocks":
+    def moved(self, step: Array) -> _Blocks:
         """Model after a step of the parameters: A, B, then C and D output by output."""
         (n, m), p = self.model.B.shape, len(self.model.C)
         free = self.pattern()
@@ -117,7 +119,7 @@ class _Place:
     cost: float
 
     @classmethod
-    def of(cls, blocks: _Blocks, lines: WeightedLines) -> "_Place":
+    def of(cls, blocks: _Blocks, lines: WeightedLines) -> _Place:
         """The place of a model; nobody may stand where it is not stable."""
         A = blocks.model.A
         is_stable = not len(A) or bool(np.abs(linalg.eigvals(A)).max() < 1.0)
@@ -128,7 +130,7 @@ class _Place:
         """J^T J and J^T e there."""
         return _normal_equations(self.lines, self.blocks)
 
-    def step(self, damping: float) -> "_Place":
+    def step(self, damping: float) -> _Place:
         """Where a damped step leads to; by Cholesky, for a block may have hundreds of entries."""
         hessian, gradient = self.normal_equations
         scale = np.diagonal(hessian)

@@ -4,6 +4,8 @@ The sums are exact enough for a recovery to 1e-8 because the regressors are chos
 neighbouring plays have a condition number near 20 where the plays themselves have 10^3 and more.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -53,7 +55,7 @@ class Moments:
         """Samples less one for the offset of each record."""
         return self.samples - len(self.means)
 
-    def of_output(self, o: int) -> "Moments":
+    def of_output(self, o: int) -> Moments:
         """Return the moments of one output alone."""
         columns = len(self.gram)
         means = self.means[:, [*range(columns), columns + o]]
@@ -130,7 +132,7 @@ class Solution:
     dependent: NDArray[np.bool_]
     ways: Array = field(default_factory=lambda: np.empty((0, 0)))
 
-    def of_output(self, own: slice, residual_rms: float) -> "Solution":
+    def of_output(self, own: slice, residual_rms: float) -> Solution:
         """Solution for one output of a problem with several outputs."""
         return Solution(
             self.coefficients[own], self.spread[own], residual_rms, self.at_bound[own], self.dependent[own]
@@ -146,7 +148,7 @@ class _Scaled(NamedTuple):
     lost: Array
 
     @classmethod
-    def of(cls, matrix: Array) -> "_Scaled":
+    def of(cls, matrix: Array) -> _Scaled:
         scale = 1.0 / not_nothing(_sizes(matrix))
         values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
         kept = values > DEPENDENT * max(values.max(initial=0.0), np.finfo(float).tiny)

@@ -8,6 +8,8 @@ The effects of the differences s_j hardly overlap, so they are well-conditioned 
 slopes are bounds on single unknowns.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -127,7 +129,7 @@ class PlayColumns(NamedTuple):
     @classmethod
     def of(
         cls, u_v: Array, start: InitialState, grids: Sequence[Array], with_derivatives: bool = False
-    ) -> "PlayColumns":
+    ) -> PlayColumns:
         """Columns that are made when asked for, those before the record first."""
         each = enumerate(zip(u_v, grids, strict=True))
         plays = [start.plays_v(float(u[0]), grid, k) for k, (u, grid) in each]
@@ -141,11 +143,11 @@ class PlayColumns(NamedTuple):
             before = (np.repeat(at_first, start.held, axis=1),)
         return cls(held, before, _blocks(u_v, grids, plays, signs))
 
-    def kept(self) -> "PlayColumns":
+    def kept(self) -> PlayColumns:
         """The same in memory, to be gone through many times."""
         return PlayColumns(self.held, tuple(self.before), tuple(self.counted))
 
-    def moving(self) -> "tuple[NDArray[np.intp], PlayColumns]":
+    def moving(self) -> tuple[NDArray[np.intp], PlayColumns]:
         """Numbers of the columns that are not zero all the time, and these alone, in memory."""
         before, counted = list(self.before), list(self.counted)
         parts = [*before, *(x for _, x in counted)]
@@ -195,14 +197,14 @@ class Regressors:
     held: Array
 
     @classmethod
-    def of(cls, u_v: Array, start: InitialState, grids: Sequence[Array], rows: Array) -> "Regressors":
+    def of(cls, u_v: Array, start: InitialState, grids: Sequence[Array], rows: Array) -> Regressors:
         """Sums ``rows`` (column, regressor) of the differences of the plays."""
         values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, replace(start, first=0), grids)])
         plays = [start.plays_v(float(u[0]), r, k) for k, (u, r) in enumerate(zip(u_v, grids, strict=True))]
         return cls(values, rows @ _held(plays, None))
 
     @cached_property
-    def moving(self) -> "tuple[NDArray[np.intp], Regressors]":
+    def moving(self) -> tuple[NDArray[np.intp], Regressors]:
         """Numbers of the columns that are not zero all the time, and these alone."""
         own = np.flatnonzero(self.values.any(axis=1) | (self.held != 0.0))
         return own, Regressors(self.values[own], self.held[own])

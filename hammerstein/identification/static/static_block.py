@@ -1,5 +1,7 @@
 """Weights of the static block from records of any kind, by linear least squares."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -80,7 +82,7 @@ class SlopeColumns(NamedTuple):
     parts: tuple[tuple[slice, ...], ...]
 
     @classmethod
-    def of(cls, thresholds_v: Thresholds) -> "SlopeColumns":
+    def of(cls, thresholds_v: Thresholds) -> SlopeColumns:
         """Lay out the pairs with thresholds (output, input)."""
         m = len(thresholds_v[0])
         grids = tuple(np.unique(np.concatenate([row[k] for row in thresholds_v])) for k in range(m))
