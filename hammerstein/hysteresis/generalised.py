@@ -33,7 +33,7 @@ from hammerstein.hysteresis.kind import (
     refuse_not_finite,
     working_point,
 )
-from hammerstein.hysteresis.pair import Pair, PlayState, WeightCovariance
+from hammerstein.hysteresis.pair import Pair, PlayState, WeightCovariance, play_bends
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.hysteresis.shape_kernels import bent_at, tanh_by_doubling
 from hammerstein.quantities import Offset, PerVolt
@@ -386,8 +386,6 @@ class Generalised(Hysteresis[PlayState], Identifiable):
 
     def bends(self, u_v: Array, before_v: Array, passes: int = 1) -> tuple[Array, Array]:
         """Derivatives of the plays in closed form; see ``Identifiable``."""
-        from hammerstein.hysteresis.shape_kernels import play_derivatives
-
         bank, first = self.plays.bank, 0
         values = np.zeros((len(self.free), self.n_outputs, u_v.shape[1]))
         stood = np.zeros(values.shape[:2])
@@ -396,15 +394,11 @@ class Generalised(Hysteresis[PlayState], Identifiable):
             first += len(self._moving[k]) + one.n_free
             if not (u_v[k].any() or before_v[k].any()):
                 continue  # at rest nothing changes
-            r, w, half = bank.r[k, :n], bank.w[k, :n], 0.5 * np.ptp(one.voltages_v)
-            kept, found = slice(n - len(self._moving[k]), None), []
             before, own = self._moved(k, before_v[k]), self._moved(k, u_v[k])
-            memory = np.full(n, before[0][0]), np.zeros(n), np.tile(before[1][:, 0], (n, 1))
-            for x, moved in (before, *(own,) * passes):
-                found.append(np.empty((n + len(moved), w.shape[1], len(x))))
-                play_derivatives(x, moved, r, w, *memory, found[-1])
-                found[-1][:n] *= half
-            values[begin:first], stood[begin:first] = found[-1][kept], found[0][kept, :, -1]
+            found = play_bends(before, own, bank.r[k, :n], bank.w[k, :n], passes)
+            for part in found:
+                part[:n] *= 0.5 * np.ptp(one.voltages_v)
+            values[begin:first], stood[begin:first] = (part[n - len(self._moving[k]) :] for part in found)
         return values, stood
 
     def _moved(self, k: int, u: Array) -> tuple[Array, Array]:

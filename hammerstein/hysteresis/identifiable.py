@@ -250,7 +250,7 @@ class Identifiable(ABC):
         return []
 
 
-def kept_apart(places: Array) -> Array:
+def kept_apart(places: Array, top: float = 1.0 - 0.5 * LEAST_ENGAGED) -> Array:
     """Places in order, in parts of their range, as far apart as that the readings tell two from one.
 
     Weights of two that nearly coincide would grow until their products are rounding errors: 4.5e8 um/V were
@@ -258,7 +258,7 @@ def kept_apart(places: Array) -> Array:
     """
     steps = LEAST_ENGAGED * np.arange(len(places))
     up = np.maximum.accumulate(np.sort(places) - steps) + steps
-    return np.asarray(np.minimum(up, 1.0 - 0.5 * LEAST_ENGAGED - steps[::-1]))
+    return np.asarray(np.minimum(up, top - steps[::-1]))
 
 
 def within_gaps(r: Array, low: float, high: float) -> Array:

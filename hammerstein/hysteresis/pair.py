@@ -70,6 +70,31 @@ def played(path_v: ArrayLike, r: ArrayLike) -> Array:
     return held
 
 
+def play_bends(
+    before: tuple[Array, Array], own: tuple[Array, Array], r: Array, w: Array, passes: int
+) -> tuple[Array, Array]:
+    """Derivatives of sums of plays of one input by their thresholds, then by the numbers that move it.
+
+    Parameters
+    ----------
+    before, own : path before the record and record: input (N,), and its derivatives (number, N)
+    r, w : (n,) thresholds, (n, p) weights
+    passes : number of repetitions of the record; only the last one counts
+
+    Returns
+    -------
+    values, held : (n + number, p, N) over the record, (n + number, p) before it
+    """
+    from hammerstein.hysteresis.shape_kernels import play_derivatives
+
+    found, n = [], len(r)
+    memory = np.full(n, before[0][0]), np.zeros(n), np.tile(before[1][:, 0], (n, 1))
+    for x, moved in (before, *(own,) * passes):
+        found.append(np.empty((n + len(moved), w.shape[1], len(x))))
+        play_derivatives(x, moved, r, w, *memory, found[-1])
+    return found[-1], found[0][:, :, -1]
+
+
 def _line(name: str, values: ArrayLike) -> Array:
     """Finite numbers (n,); raises InputError for anything else."""
     try:

@@ -14,7 +14,14 @@ from pydantic import Field
 from hammerstein.arrays import Array, frozen, spans
 from hammerstein.errors import InputError, Mistake, naming
 from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
-from hammerstein.hysteresis.identifiable import LEAST_ENGAGED, Bounds, Driven, Identifiable, Limits
+from hammerstein.hysteresis.identifiable import (
+    LEAST_ENGAGED,
+    Bounds,
+    Driven,
+    Identifiable,
+    Limits,
+    kept_apart,
+)
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
     Hysteresis,
@@ -28,6 +35,7 @@ from hammerstein.hysteresis.pair import (
     PlayState,
     WeightCovariance,
     play,
+    play_bends,
     played,
     refuse_other_sizes,
 )
@@ -219,7 +227,7 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
     def at(self, free: Array) -> PrandtlIshlinskii:
         """Return the same weights with other thresholds; what falls below 0 lies as far above it."""
         ends = np.cumsum(self.bank.n)[:-1]
-        old, new = np.split(self.free, ends), [np.sort(np.abs(part)) for part in np.split(free, ends)]
+        old, new = np.split(self.free, ends), [_apart(np.abs(part)) for part in np.split(free, ends)]
 
         def moved(pair: Pair, k: int) -> Pair:
             return Pair(new[k][np.searchsorted(old[k], pair.thresholds_v)], pair.weights_um_per_v)
@@ -244,6 +252,18 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             values.append(outputs)
             held.append(stood)
         return np.vstack(values), np.concatenate(held)
+
+    def bends(self, u_v: Array, before_v: Array, passes: int = 1) -> tuple[Array, Array]:
+        """Derivatives of the plays in closed form; see ``Identifiable``."""
+        bank, ends = self.bank, np.cumsum(self.bank.n)
+        values = np.zeros((int(ends[-1]), self.n_outputs, u_v.shape[1]))
+        stood = np.zeros(values.shape[:2])
+        for k, (n, end) in enumerate(zip(bank.n, ends, strict=True)):
+            if u_v[k].any() or before_v[k].any():  # at rest nothing changes
+                before, own = ((path[k], np.empty((0, path.shape[1]))) for path in (before_v, u_v))
+                found = play_bends(before, own, bank.r[k, :n], bank.w[k, :n], passes)
+                values[end - n : end], stood[end - n : end] = found
+        return values, stood
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
         """Every slope, a partial sum of the weights, stays beyond the least one."""
@@ -279,6 +299,12 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             return complex(describing_function(pair, amplitude_v, range_v))
 
         return nonlinearity_of(self, of_amplitude, pair.thresholds_v, range_v)
+
+
+def _apart(thresholds_v: Array) -> Array:
+    """Thresholds in order, apart in parts of the largest one."""
+    top = float(thresholds_v.max(initial=0.0))
+    return top * kept_apart(thresholds_v / top, 1.0) if top > 0.0 else thresholds_v
 
 
 def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:

@@ -3,11 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
+from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.identification.columns import driven_of
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_fit import AxesFit, AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import (
@@ -19,15 +22,22 @@ from hammerstein.identification.linear.axis_search import (
     thinning,
 )
 from hammerstein.identification.linear.axis_steps import rms_behind
-from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, parameters_of as axis_parameters
+from hammerstein.identification.linear.axis_task import (
+    AxisShape,
+    AxisTask,
+    axis_of,
+    parameters_of as axis_parameters,
+)
 from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.model_selection import FELT, lowers
-from hammerstein.identification.output_dynamics import MOST_CREEP
+from hammerstein.identification.output_dynamics import MOST_CREEP, OutputDynamics
+from hammerstein.identification.projection import ROUGHLY, fit_block
+from hammerstein.identification.residual_analysis import far_above_noise
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.static_block import SlopeColumns, StaticFit, Thresholds
+from hammerstein.identification.static.static_block import SlopeColumns, StaticFit, Thresholds, half_swing
 from hammerstein.identification.static_candidates import (
     KEPT,
     begun_static,
@@ -56,8 +66,6 @@ WORTHWHILE = 5e-3
 """Part of the error that a turn must gain where the records are so long that samples are left out."""
 CLEARLY_FELT = 0.5
 """Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
-PATIENCE = 2
-"""Turns in a row without that, after which they end."""
 FEWER = (0.75, 0.5)
 """Parts of the number of thresholds with which their fit is tried again."""
 
@@ -102,6 +110,7 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     if settings.fits_thresholds and any(axis.identified for axis in axes):
         begun = blocks
         axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
+        axes, blocks = _searched_anew(task, guess, axes, blocks)
         notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
     before = axes
     axes, blocks, tried = _with_lag_and_creep(task, axes, blocks)
@@ -322,39 +331,78 @@ def _with_fewer_if_needed(
     return found
 
 
-def _thresholds_and_axes(
+def _searched_anew(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: WeightFits
 ) -> tuple[tuple[AxisFit, ...], WeightFits]:
-    """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained."""
+    """The same, or thresholds and axes from resonances that are searched behind the fitted thresholds.
+
+    A weak resonance that was searched behind coarse thresholds may be off by a turn of its phase, which the
+    thresholds then make up for: no small step leads back. The error stays far above the noise.
+    """
+    far = far_above_noise(blocks.chosen.rms_um, task.records, task.starts)
+    if not any(now and shape.resonance for now, shape in zip(far, guess.shapes, strict=True)):
+        return axes, blocks
+    grids, settings = SlopeColumns.of(thresholds_of(blocks)).grids, task.settings
+    known: dict[str, Any] = {"delay_samples": task.delay_samples, "sensor": settings.sensor}
+    found = search_axes(task.records, task.starts, grids=grids, progress=task.progress, **known)
+    behind = [
+        axis_of(shape, x) if shape == wanted else axis
+        for shape, x, wanted, axis in zip(
+            found.shapes, found.parameters, guess.shapes, dynamics_of(axes).axes, strict=True
+        )
+    ]
+    return _thresholds_and_axes(task, guess, axes, blocks, AxesDynamics(axes=tuple(behind)))
+
+
+def _thresholds_and_axes(
+    task: Task,
+    guess: FirstGuess,
+    axes: tuple[AxisFit, ...],
+    blocks: WeightFits,
+    behind: AxesDynamics | None = None,
+) -> tuple[tuple[AxisFit, ...], WeightFits]:
+    """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained.
+
+    ``behind`` is what is begun with if not with the axes.
+    """
     free, every = 1 + task.outputs, thinning(task.records)
     best: tuple[tuple[AxisFit, ...], WeightFits] | None = None
-    near, thresholds_v, idle = axes, thresholds_of(blocks), 0
+    behind, thresholds_v = behind or dynamics_of(axes), thresholds_of(blocks)
     need = 1.0 if every == 1 else WORTHWHILE * 2.0 * task.outputs * blocks.chosen.samples
     for _ in range(MOST_TURNS):
         task.progress("fitting the thresholds")
-        thresholds_v = fitted_thresholds(task, thresholds_v, dynamics_of(near), rounds=1)
-        begin = tuple(
-            axis_parameters(fit.axis)[1] if fit.identified else x
-            for fit, x in zip(near, guess.parameters, strict=True)
-        )
-        near = _axes(task, thresholds_v, replace(guess, parameters=begin), every).axes
+        thresholds_v = fitted_thresholds(task, thresholds_v, behind, rounds=1)
+        thresholds_v, begin = _together(task, thresholds_v, guess, behind)
+        near = _axes(task, thresholds_v, begin, every).axes
         if not any(axis.identified for axis in near):
             break
-        trial = of_fitted(task, thresholds_v, dynamics_of(near))
+        behind = dynamics_of(near)
+        trial = of_fitted(task, thresholds_v, behind)
         least = criterion(best[1].chosen, free) if best else math.inf
-        worse = criterion(trial.chosen, free) >= least - need or lost_inverse(task, blocks, trial)
-        idle = idle + 1 if worse else 0
-        if idle >= (PATIENCE if every == 1 else 1):
+        if criterion(trial.chosen, free) >= least - need or lost_inverse(task, blocks, trial):
             break
-        best = best if idle else (near, trial)
+        best = (near, trial)
     if best is None or not gained(blocks.chosen, best[1].chosen):
         return axes, blocks
     if every == 1:
         return best
     found = thresholds_of(best[1])
-    begin = tuple(axis_parameters(fit.axis)[1] for fit in best[0])
-    whole = _axes(task, found, replace(guess, parameters=begin), 1).axes
+    whole = _axes(task, found, _guess_of(guess, best[0]), 1).axes
     return whole, of_fitted(task, found, dynamics_of(whole))
+
+
+def _together(
+    task: Task, thresholds_v: Thresholds, guess: FirstGuess, behind: AxesDynamics
+) -> tuple[list[list[Array]], FirstGuess]:
+    """Thresholds and axes by the one fit: in turn, each would make up for what the other one lacks."""
+    driven, found = driven_of(task, thresholds_v), OutputDynamics(behind.axes, task.delay_samples)
+    middle, reach = 0.5 * (driven.low_v + driven.high_v), half_swing(task.records)
+    driven = replace(driven, low_v=middle - reach, high_v=middle + reach)  # a play engages within one record
+    joint = fit_block(task, PrandtlIshlinskii.first_guesses(driven), driven, found, enough=ROUGHLY)
+    pairs = cast(PrandtlIshlinskii, joint.hysteresis).pairs
+    each = zip(map(axis_parameters, joint.behind.axes), guess.shapes, guess.parameters, strict=True)
+    parameters = tuple(own if shape == wanted else x for (shape, own), wanted, x in each)
+    return [[pair.thresholds_v for pair in row] for row in pairs], replace(guess, parameters=parameters)
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:

@@ -12,14 +12,18 @@ from hammerstein.arrays import Array, Flags
 from hammerstein.dynamics import Dynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
+from hammerstein.identification.linear.axis_task import duration_s
 from hammerstein.identification.model_selection import moments_of_output
-from hammerstein.identification.operators import CURVE_SAMPLES
+from hammerstein.identification.operators import CURVE_SAMPLES, input_grids
+from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.projection import ROUGHLY, BlockFit, fit_block
+from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input
 from hammerstein.identification.score import ranges
 from hammerstein.identification.static.folds import left_out
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, ridge_penalty
+from hammerstein.identification.static.static_block import SlopeColumns, Thresholds, swing_ends
 from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.identification.task import Task
 
@@ -37,6 +41,31 @@ NEAR = 5e-3
 SHARE = 0.1
 """Gain of a step, in parts of what a place must save, under which a search for places has arrived: beyond it,
 places that are not worth their price wander, and rounding decides where to."""
+
+
+def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
+    """How the records drive the inputs, and thresholds: the finest of the kind where none are asked for."""
+    records, settings = task.records, task.settings
+    finest = identifiable_kinds()[settings.hysteresis].finest
+    auto = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
+    if auto and finest:
+        thresholds_v = [input_grids(records, finest, "voltage")]
+    low, high = swing_ends(records)
+    return Driven(
+        low_v=low,
+        high_v=high,
+        working_point_v=records[0].rest_v,
+        outputs=task.outputs,
+        inputs=records[0].inputs,
+        thresholds_v=SlopeColumns.of(thresholds_v).grids,
+        sample_time_s=min(record.sample_time_s for record in records),
+        duration_s=duration_s(records),
+        fastest_rad_per_s=fastest_rad_per_s(records),
+        several_rates=rates_of_input(records),
+        invertible=settings.solver != "least_squares",
+        given=not auto,
+        dead_zones=settings.dead_zones,
+    )
 
 
 def chosen_columns(

@@ -12,16 +12,15 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
-from hammerstein.hysteresis.identifiable import Driven, Identifiable
+from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
-from hammerstein.identification.columns import NEAR, chosen_columns, error_left_out, few_places
+from hammerstein.identification.columns import NEAR, chosen_columns, driven_of, error_left_out, few_places
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess
-from hammerstein.identification.linear.axis_task import duration_s, parameters_of as axis_parameters
+from hammerstein.identification.linear.axis_task import parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
 from hammerstein.identification.model_selection import Trial, chosen, enough_readings, lowers, trial_of
-from hammerstein.identification.operators import input_grids
 from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import (
     OutputDynamics,
@@ -29,7 +28,7 @@ from hammerstein.identification.output_dynamics import (
     sure_output_dynamics,
 )
 from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
-from hammerstein.identification.rates import fastest_rad_per_s, rates_of_input, several_rates
+from hammerstein.identification.rates import several_rates
 from hammerstein.identification.score import Candidate, invertibility_of, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,
@@ -40,10 +39,8 @@ from hammerstein.identification.static.initial_state import (
 )
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import (
-    SlopeColumns,
     Thresholds,
     half_swing,
-    swing_ends,
 )
 from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.identification.static_candidates import begun_static
@@ -414,31 +411,6 @@ def _of_kind(
         notes.append(f"parameters of the hysteresis at a limit, which the records do not determine: {count}")
     at_limit = bool(fit.at_limit)
     return FittedBlock(fit.hysteresis, tuple(notes), ridge, picked, placed, at_limit=at_limit), fit.behind
-
-
-def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
-    """How the records drive the inputs, and thresholds: the finest of the kind where none are asked for."""
-    records, settings = task.records, task.settings
-    finest = identifiable_kinds()[settings.hysteresis].finest
-    auto = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
-    if auto and finest:
-        thresholds_v = [input_grids(records, finest, "voltage")]
-    low, high = swing_ends(records)
-    return Driven(
-        low_v=low,
-        high_v=high,
-        working_point_v=records[0].rest_v,
-        outputs=task.outputs,
-        inputs=records[0].inputs,
-        thresholds_v=SlopeColumns.of(thresholds_v).grids,
-        sample_time_s=min(record.sample_time_s for record in records),
-        duration_s=duration_s(records),
-        fastest_rad_per_s=fastest_rad_per_s(records),
-        several_rates=rates_of_input(records),
-        invertible=settings.solver != "least_squares",
-        given=not auto,
-        dead_zones=settings.dead_zones,
-    )
 
 
 def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:

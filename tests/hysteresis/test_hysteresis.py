@@ -11,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, play
+from hammerstein.hysteresis.identifiable import Identifiable
 
 RNG_SEED = 7
 
@@ -446,3 +447,21 @@ def test_a_pair_says_what_it_is():
 def test_plays_of_negative_thresholds_are_refused():
     with pytest.raises(InputError, match="r holds -1 V, but thresholds are 0 or more"):
         play([0.0, 1.0], [0.5, -1.0])
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_derivatives_by_thresholds_are_differences_of_the_outputs(passes):
+    rows = [[Pair([0.0, 1.0, 2.5], [1.0, 2.0, -0.3]), Pair([0.4, 3.0], [0.3, 0.2])]]
+    rows += [[Pair([0.5, 2.5], [0.1, 0.2]), Pair([0.4], [1.0])]]  # thresholds that some pairs lack
+    block, generator = PrandtlIshlinskii(rows), np.random.default_rng(3)
+    driven = generator.uniform(-8.0, 8.0, (2, 200)), generator.uniform(-8.0, 8.0, (2, 3)), passes
+    for one, other in zip(block.bends(*driven), Identifiable.bends(block, *driven), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+def test_thresholds_that_meet_stay_apart():
+    block = PrandtlIshlinskii([[Pair([0.0, 1.0, 2.5, 4.0], [1.0, 2.0, 3.0, 4.0])]])
+    moved = block.at(np.array([0.0, 2.5, 2.5, 2.5])).pairs[0][0].thresholds_v
+    assert np.diff(moved).min() > 0.9e-3 * 2.5
+    assert moved[-1] == 2.5
+    np.testing.assert_array_equal(block.at(block.free).free, block.free)

@@ -28,6 +28,7 @@ from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.task import Task
 from hammerstein.identification.verdict import axis_statements
+from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.signals import Multisine, Sine
 
@@ -406,6 +407,35 @@ def test_a_delay_that_lowers_no_error_by_two_percent_is_left_out(monkeypatch, ou
     assert bool(axes_candidates.build_axes(task, guesses).delay) == late
 
 
+def crowded(noise, seed=0):
+    """Two axes of 28 play operators with weights of both signs, each input driven alone from rest."""
+    plays = HammersteinModel.load("duo_bimorph_dense").hysteresis.pairs
+    r = np.append(0.18, plays[0][0].thresholds_v[1:])
+    w = np.array([[pair.weights_um_per_v for pair in row] for row in plays])
+    t, generator = T * np.arange(2000), np.random.default_rng(seed)
+    wave = 10.0 * np.sin(2.0 * np.pi * 50.0 * t)
+    drive = np.append(wave, Multisine(amplitude=10.0, lowest_hz=5.0, highest_hz=50.0, seed=1).sample(t, 1)[0])
+    records = []
+    for k in range(2):
+        u = np.zeros((2, len(drive)))
+        u[k] = drive
+        v = theory.prandtl_ishlinskii(u, [[r] * 2] * 2, w)
+        y = np.array([lagged(row, *axis) for row, axis in zip(v, AXES, strict=True)])
+        records.append(Record(u, y + noise * generator.standard_normal(y.shape), T))
+    return records
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_thresholds_and_axes_are_fitted_together(seed):
+    """In turn, each makes up for what the other one lacks, and the search ends half way."""
+    given = Settings(20, dynamics="second_order", sensor_bandwidth_hz=SENSOR_HZ)
+    model, fit = identify(crowded(0.02, seed), replace(given, creep_modes=0, delay_samples=0))
+    for axis, (resonance_hz, damping) in zip(model.dynamics.axes, AXES, strict=True):
+        assert axis.resonance_hz == pytest.approx(resonance_hz, rel=2e-3)
+        assert axis.damping_ratio == pytest.approx(damping, rel=0.02)
+    assert fit.judged[fit.kind].rms_um == pytest.approx((0.02, 0.02), rel=0.03)
+
+
 def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch):
     calls = []
 
@@ -424,4 +454,4 @@ def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch)
         error_curve=False,
     )
     identify(records, given)
-    assert len(calls) == 1 + axes_candidates.PATIENCE < axes_candidates.MOST_TURNS
+    assert len(calls) == 2 + 2 < axes_candidates.MOST_TURNS  # and from resonances that are searched anew
