@@ -180,6 +180,9 @@ FEWEST_AT_REST = 3  # samples, before a drift at rest is spoken of
 RESTING = 1e-4
 """Part of its range by which an output at rest may move."""
 TREND_PARTS = 4  # of the time at rest, whose means show a trend
+GROWS = 0.6
+"""Largest deviation of the first half of a time, in parts of that of the whole, below which it is no flicker
+about a constant voltage: half of it for a ramp, a quarter for a ramp that starts smoothly."""
 VISITED = 0.05
 """An extreme counts as visited from this part of the range on."""
 
@@ -264,5 +267,7 @@ def _last_still(u: Array) -> int:
     """Last sample before the motion; the ramp inside the dead band belongs to the motion."""
     away = np.abs(u - u[0])
     first = int(np.argmax(away > min(dead_band(u), 0.05 * float(np.ptp(u)))))
-    flicker = float(away[: max(first // 2, 1)].max())
-    return int(np.flatnonzero(away[:first] <= flicker)[-1])
+    part = max(first // 2, 1)
+    while part > 1 and away[: part // 2].max() < GROWS * away[:part].max():
+        part //= 2  # what grows in time is a smooth start, which belongs to the motion
+    return int(np.flatnonzero(away[:first] <= away[:part].max())[-1])

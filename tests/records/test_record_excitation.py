@@ -22,6 +22,15 @@ class TestDriven:
         u = np.concatenate([np.zeros(80), U]) + 0.005 * rng.standard_normal(N + 80)
         assert dead_start(Record([u], [u], 5e-3)) == pytest.approx(80, abs=3)
 
+    @pytest.mark.parametrize("power", [1, 2, 3])
+    @pytest.mark.parametrize("held", [0, 7, 400])
+    def test_a_smooth_start_belongs_to_the_motion(self, power, held):
+        t = 5e-5 * np.arange(20000)
+        u = 75.0 + 60.0 * np.sin(2.0 * np.pi * 5.0 * t) * np.minimum(1.0, t / 0.1) ** (power - 1)
+        u = np.concatenate([np.full(held, 75.0), u])
+        y = 0.1 * u + 0.003 * np.random.default_rng(1).standard_normal(u.size)
+        assert dead_start(Record([u], [y], 5e-5)) == held
+
     def test_a_record_that_begins_in_motion_has_no_dead_start(self):
         late = slice(30, None)
         assert dead_start(Record([U[late] + 2.0, 0 * U[late] + 0.5], [X[late] - 50.0], 5e-3)) == 0
