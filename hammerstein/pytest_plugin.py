@@ -56,10 +56,11 @@ class ScenarioItem(pytest.Item):
 
         try:
             result = check_files([_shortest(self.path, self.config)], _baseline_folder(self.config))
+            text = result.text() if result.exit_code else ""
         except HammersteinError as error:
-            pytest.fail(str(error), pytrace=False)
-        if result.exit_code:
-            pytest.fail(result.text(), pytrace=False)
+            text = str(error)
+        if text:
+            pytest.fail(text, pytrace=False)
 
     def reportinfo(self) -> tuple[Path, int | None, str]:
         """Where the test is and what it is called in reports."""

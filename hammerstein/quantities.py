@@ -216,6 +216,15 @@ def interval(seconds: float) -> str:
     return f"{factor * seconds:.4g} {unit}"
 
 
+def number_of(count: int, word: str) -> str:
+    """How many of something there are.
+
+    >>> number_of(1, "input"), number_of(2, "input"), number_of(0, "sample")
+    ('1 input', '2 inputs', '0 samples')
+    """
+    return f"{count} {word}{'s' * (count != 1)}"
+
+
 def sampling(sample_time_s: float | None) -> str:
     """Grid of a block in words; without a sample time it is continuous.
 

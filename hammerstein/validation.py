@@ -120,6 +120,7 @@ def _types(nodes: Sequence[Node]) -> set[str]:
 
 
 MOST_SHOWN = 60  # characters of a value
+ALIKE = 0.7  # how alike a key of another table must be to be named, from 0 to 1
 MOST_OWNERS = 3
 """Tables that are named for a key in the wrong place."""
 PLAIN = (
@@ -209,9 +210,9 @@ def _schema_of(model: type[BaseModel] | TypeAdapter[Any]) -> Schema:
     return schema
 
 
-def nearest(name: str, names: Iterable[str]) -> list[str]:
-    """Return the nearest known name, or none."""
-    return difflib.get_close_matches(name, list(names), n=1, cutoff=0.6)
+def nearest(name: str, names: Iterable[str], least: float = 0.6) -> list[str]:
+    """Return the nearest known name, or none; ``least`` is how alike they must be, from 0 to 1."""
+    return difflib.get_close_matches(name, list(names), n=1, cutoff=least)
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
@@ -298,7 +299,7 @@ def _unknown_key(name: str, place: Place, schema: Schema) -> str:
 
 
 def _nearest_elsewhere(name: str, schema: Schema) -> str:
-    near = nearest(name, schema.names())
+    near = nearest(name, schema.names(), ALIKE)
     if not near:
         return ""
     places = dict.fromkeys(owner.path or "the top of the file" for owner in schema.owners(near[0]))

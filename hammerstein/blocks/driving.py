@@ -53,6 +53,13 @@ class DriveRange:
         outside = (self.start_v < self.low_v) | (self.start_v > self.high_v)
         if outside.any():
             k = int(np.argmax(outside))
+            if (self.start_v == self.working_point_v).all():
+                raise InputError(
+                    "range",
+                    f"the actuator rests at {self.start_v[k]:g} V on input {k + 1}, outside "
+                    f"{self.low_v[k]:g} to {self.high_v[k]:g} V; give a wider range, here and as "
+                    "instruments.drive.range_v of the model",
+                )
             raise InputError(
                 "start",
                 f"{self.start_v[k]:g} V of input {k + 1} is outside the range {self.low_v[k]:g} to "

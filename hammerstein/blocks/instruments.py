@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from hammerstein.arrays import Array, Flags
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.errors import InputError
 from hammerstein.quantities import END_V, Bandwidth, End, Limit, Noise, SampleTime, Step
 from hammerstein.validation import WithInfinity
@@ -181,3 +182,12 @@ class Instruments(WithInfinity):
             drive=Drive(range_v=(-math.inf, math.inf), resolution_v=0.0, sample_time_s=sample_time_s),
             sensor=Sensor(range_um=math.inf, resolution_um=0.0, bandwidth_hz=math.inf, noise_um=0.0),
         )
+
+    def reaching(self, recorded: Voltages) -> Instruments:
+        """Return the same with a drive that reaches what was recorded, if no range of it is stated."""
+        low, high = np.array(recorded.lowest_v), np.array(recorded.highest_v)
+        limits = self.drive.limits(len(low))
+        if "range_v" in self.drive.model_fields_set or ((low >= limits[0]) & (high <= limits[1])).all():
+            return self
+        ends = tuple(zip(recorded.lowest_v, recorded.highest_v, strict=True))
+        return self.model_copy(update={"drive": self.drive.model_copy(update={"range_v": ends})})

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array, rows_of
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.errors import InputError, SimulationError
+from hammerstein.quantities import number_of
 
 if TYPE_CHECKING:
     from hammerstein.blocks.block_system import BlockSystem
@@ -91,7 +92,7 @@ class Designed(ABC):
 
     def __repr__(self) -> str:
         inputs = [f"input {k + 1}" for k in range(self.n_inputs)]
-        return f"{type(self).__name__}({self.n_outputs} outputs, {self.range.words(inputs)})"
+        return f"{type(self).__name__}({number_of(self.n_outputs, 'output')}, {self.range.words(inputs)})"
 
     def statement(self) -> str:
         """Information that a user needs before a run; may be empty."""

@@ -162,6 +162,10 @@ def _model(path: Path) -> Iterator[tuple[str, str]]:
         told = [f"{gains[o, k]:.4g} from {name}" for k, name in enumerate(model.inputs)]
         yield f"gain of {output} [um/V]", ", ".join(told)
     yield "recorded", model.recorded.statement(model.inputs)
+    limits = model.instruments.drive.limits(len(model.inputs))
+    each = zip(model.inputs, *limits, strict=True)
+    if np.isfinite(limits).all():
+        yield "range of the drive", ", ".join(f"{name} {low:.6g} to {high:.6g} V" for name, low, high in each)
     if model.verdict is not None:
         yield (
             "fit report",

@@ -266,7 +266,7 @@ class Identified:
     ] = "auto"
     order: Annotated[int | None, typer.Option(help="Order of a state-space model; default: searched.")] = None
     creep_modes: Annotated[
-        str, typer.Option(help="Slow modes of each axis; auto: one if it lowers the error.")
+        str, typer.Option(help="Slow modes of each axis; auto: up to 3, each if it lowers the error.")
     ] = "auto"
     delay_samples: Annotated[int | None, typer.Option(help="Delay of the outputs; default: estimated.")] = (
         None

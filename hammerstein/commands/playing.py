@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.compensators.drive_file import beyond_records
+from hammerstein.compensators.drive_file import AT_REST, INITIAL_STATE, beyond_records
 from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, PathWork, Tell, drive_csv
 from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.escaping import clean
@@ -59,11 +59,13 @@ class Played:
         }
 
 
-def _made_for(path: Path) -> str:
-    """What a drive file of ours says of its model; empty in any other file."""
+def _said(path: Path) -> tuple[str, str]:
+    """What a drive file of ours says of its model, and of another initial state than rest; else nothing."""
     with path.open(encoding="utf-8", errors="replace") as lines:
-        said = next((line for line in lines if line.startswith(MADE_FOR)), "")
-    return re.split(r"(?<=\))[.:]", said.removeprefix("# "))[0].strip()
+        notes = [line for line in lines if line.startswith("# ")]
+    model = next((line for line in notes if line.startswith(MADE_FOR)), "")
+    start = next((line for line in notes if INITIAL_STATE in line and AT_REST not in line), "")
+    return re.split(r"(?<=\))[.:]", model.removeprefix("# "))[0].strip(), start.removeprefix("# ").strip()
 
 
 def played(
@@ -91,22 +93,25 @@ def played(
         raise InputError(str(drive_path), what)
     u = values[chosen(drive_path, names, model.inputs, "voltage", "drive")]
     sample_time_s = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    uneven = np.abs(np.diff(time_s) - sample_time_s) > EVENLY * sample_time_s
-    if uneven.any():
+    steps, usual_s = np.diff(time_s), float(np.median(np.diff(time_s)))
+    if (np.abs(steps - sample_time_s) > EVENLY * sample_time_s).any():
+        odd = int(np.argmax(np.abs(steps - usual_s)))
         raise InputError(
             str(drive_path),
-            f"its times are not evenly spaced: row {int(np.argmax(uneven)) + 2} comes after "
-            f"{interval(np.diff(time_s)[np.argmax(uneven)])}, the others after {interval(sample_time_s)}; "
-            "resample it",
+            f"its times are not evenly spaced: row {odd + 2} comes after {interval(steps[odd])}, most rows "
+            f"after {interval(usual_s)}; resample it",
         )
     work = PathWork(len(time_s), sample_time_s, DRIVE_COST)
     work.refuse_too_large(drive_path)
     onlooker.begin(work)
     onlooker.tell("playing")
-    made_for = _made_for(drive_path)
+    made_for, start = _said(drive_path)
     if made_for and f"({clean(model.origin)})" not in made_for:
         text = f"{drive_path}: these voltages were computed for another stage: {made_for}"
         warnings.warn(text, Notice, stacklevel=2)
+    if start:
+        said = f"{drive_path}: played from rest at the working point, but the drive is not made for that."
+        warnings.warn(f"{said} {start}", Notice, stacklevel=2)
     beyond = beyond_records(model, u)
     if beyond:
         warnings.warn(f"{drive_path}: {beyond} The positions there are extrapolated.", Notice, stacklevel=2)

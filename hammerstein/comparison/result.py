@@ -13,6 +13,7 @@ from hammerstein.identification.model_selection import CLOSE, FELT, NO_BETTER
 from hammerstein.identification.score import Score
 from hammerstein.identification.static.folds import PARTS
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import number_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,7 +79,7 @@ class Unseen:
 
     def sentence(self) -> str:
         """Say both errors."""
-        many = f"{self.experiments} experiment{'s' * (self.experiments != 1)}"
+        many = number_of(self.experiments, "experiment")
         return (
             f"On {many}, {self.name} has an error of {self.percent:.3g} % with parameters from the other "
             f"experiments; {self.rival} has {self.rival_percent:.3g} % with parameters from all of them."
@@ -202,7 +203,7 @@ class Comparison:
         """Recommendation with its reason, then warnings."""
         chosen, best = self[self.recommended], self[self.best]
         where = "on the validation records" if self.held else "on the fitted records"
-        count = f"{chosen.parameters} parameter{'s' * (chosen.parameters != 1)}"
+        count = number_of(chosen.parameters, "parameter")
         said = [
             f"Recommended: {chosen.name}, {count}. Its error is {chosen.judged.mean_percent:.3g} % of "
             f"the range {where}, its cross-validation error {chosen.folds_percent:.3g} %."

@@ -39,6 +39,7 @@ FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
+INITIAL_STATE, AT_REST = "Initial state, where the path is zero", "at rest, without history"
 EARLIER = " Earlier motion shifts the position; less so after both ends of the range (--conditioned)."
 
 
@@ -191,13 +192,13 @@ class Compensation:
         limits, names = self.law.range, self.model.inputs
         start = ", ".join(f"{u:.6g} V on {n}" for n, u in zip(names, limits.start_v, strict=True))
         rest = ", ".join(f"{u:.6g} V" for u in limits.working_point_v)
-        text = f"Initial state, where the path is zero: {start}, "
+        text = f"{INITIAL_STATE}: {start}, "
         if limits.conditioned:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
             return f"{text}driven to {top}, then to {low}, then directly to the start."
         earlier = EARLIER if self.prediction.rest is None else ""
         if (limits.start_v == limits.working_point_v).all():
-            return f"{text}at rest, without history.{earlier}"
+            return f"{text}{AT_REST}.{earlier}"
         return f"{text}at rest at {rest} before, then directly to the start.{earlier}"
 
     def to_csv(self, path: Path | str | None = None, *, tell: Tell | None = None) -> str:
@@ -371,8 +372,8 @@ def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
         k = int(np.argmax(wide))
         raise InputError(
             "--range",
-            f"{low[k]:g} to {high[k]:g} V exceeds the range of {model.inputs[k]} in the model file, "
-            f"{own[0, k]:g} to {own[1, k]:g} V",
+            f"{low[k]:g} to {high[k]:g} V exceeds the range of {model.inputs[k]} in the model file "
+            f"(instruments.drive.range_v), {own[0, k]:g} to {own[1, k]:g} V",
         )
     if terms.start_v is not None and len(terms.start_v) not in (1, m):
         raise InputError("--start", f"names {len(terms.start_v)} voltages; the model has {m} inputs")

@@ -21,7 +21,7 @@ from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearis
 from hammerstein.errors import InputError, naming
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import Deviation, Frequency, Trial, column, interval
+from hammerstein.quantities import Deviation, Frequency, Trial, column, interval, number_of
 from hammerstein.signals.signal_files import read_signal
 
 DEVIATIONS = 2.0  # standard deviations that are counted on
@@ -105,7 +105,9 @@ class IlcUpdate:
     noise_um : rms of what does not repeat from period to period, in the mean of the readings
     lifted : factor by which the correction for the sensor's lag amplifies this noise
     doubt_um2 : what the mean square error exceeds by this noise as seldom as normal noise three deviations
-    learnt : corrected lines of the spectrum; slowest : largest part of an error that a trial leaves
+    learnt : corrected lines of the spectrum
+    unsure : lines with an error beyond the noise that are not, because the model is too uncertain there
+    slowest : largest part of an error that a trial leaves
     limit_hz : frequency from which the model is too uncertain to learn; inf if there is none
     before : result of the trial before, if given
     """
@@ -116,6 +118,7 @@ class IlcUpdate:
     lifted: float
     doubt_um2: float
     learnt: int
+    unsure: int
     slowest: float
     limit_hz: float
     before: IlcUpdate | None = None
@@ -132,7 +135,7 @@ class IlcUpdate:
 
     @property
     def finished(self) -> bool:
-        """Whether the remaining error is within the sensor's noise."""
+        """Whether nothing more is learned: what remains is noise, or the model is too uncertain for it."""
         return self.learnt == 0 or self.worse
 
     @property
@@ -148,23 +151,35 @@ class IlcUpdate:
         """Whether this trial is farther off than one before, by more than the noise of both."""
         return self.square_um2 > before.square_um2 + float(np.hypot(self.doubt_um2, before.doubt_um2))
 
+    @property
+    def size(self) -> str:
+        """Rms error in words: a bound where it does not exceed the noise."""
+        if self.square_um2 > self.doubt_um2:
+            return f"{self.error_rms_um:.3g} um"
+        return f"below {np.sqrt(self.error_rms_um**2 + self.doubt_um2):.2g} um"
+
     def statement(self) -> str:
         """Error of the trial, and whether to continue."""
-        found = (
-            f"Rms error of this trial {self.error_rms_um:.3g} um, noise of its mean {self.noise_um:.2g} um."
-        )
+        found = f"Rms error of this trial {self.size}, noise of the mean reading {self.noise_um:.2g} um."
         if self.before is not None:
             better = self.before.worse_than(self)
-            found += f" The previous trial: {self.before.error_rms_um:.3g} um rms; this trial is "
+            found += f" The previous trial: {self.before.size} rms; this trial is "
             found += "better." if better else "worse." if self.worse else "equal within the noise."
         if self.worse:
             return f"{found} Stop: the drive of the previous trial is kept."
+        if self.finished and self.unsure:
+            lines = number_of(self.unsure, "line")
+            where = f" from {self.limit_hz:.4g} Hz" if self.limit_hz else ""
+            return (
+                f"{found} Keep this drive: an error remains at {lines} of the spectrum, but the model is too "
+                f"uncertain{where} to learn from it. Use a better model, or state a smaller uncertainty."
+            )
         if self.finished:
             return f"{found} Only sensor noise remains: keep this drive."
         limit = (
             "" if np.isinf(self.limit_hz) else f" Above {self.limit_hz:.4g} Hz the model is too uncertain."
         )
-        lines = f"{self.learnt} line{'s' * (self.learnt != 1)}"
+        lines = number_of(self.learnt, "line")
         return (
             f"{found} Go on: play the new drive, corrected at {lines} of the spectrum. If the actuator is "
             f"within the stated deviations of its model, at most {self.slowest:.2g} of the error at these "
@@ -208,7 +223,8 @@ def ilc_update(
     noise = deviation / np.abs(lag)
     delta = (uncertainty or ModelUncertainty()).relative(model, frequency, time_s).T
     share = ModelUncertainty.share(delta)
-    above_noise = (np.abs(error * lag) > _least_error(deviation, freedom)) & (share > 0.0)
+    remains = np.abs(error * lag) > _least_error(deviation, freedom)
+    above_noise = remains & (share > 0.0)
     drive = drive_v
     if above_noise.any():
         now, _ = settled_position(player(model, law.range, time_s), drive_v, law.range.start_v, time_s)
@@ -224,6 +240,7 @@ def ilc_update(
         _rms_of(noise, samples) / read if read else 1.0,
         _doubt(error, noise, samples, freedom.max()),
         int(above_noise.sum()),
+        int((remains & (share == 0.0)).sum()),
         slowest,
         float(unsure_at.min(initial=np.inf)),
     )
@@ -419,7 +436,7 @@ class LearnedLaw(Learner):
 
     def statement(self) -> str:
         """Say what its inverse says, and that a sensor must be there."""
-        own = "Each trial after the first needs the sensor readings of the previous one."
+        own = f"Trial {self.trial} is measured; each after the first needs the readings of the previous one."
         return f"{own} {self.inverse.statement()}".strip()
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of, spans
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError
-from hammerstein.quantities import interval, sampling
+from hammerstein.quantities import interval, number_of, sampling
 
 if TYPE_CHECKING:
     import control
@@ -133,7 +133,7 @@ class LinearBlock(SteppedBlock, ByValue):
         freeze_fields(self, *"ABCD")
 
     def __repr__(self) -> str:
-        axes = f"{self.n_inputs} inputs, {self.n_outputs} outputs"
+        axes = f"{number_of(self.n_inputs, 'input')}, {number_of(self.n_outputs, 'output')}"
         return f"LinearBlock(order {len(self.A)}, {axes}, {sampling(self.sample_time_s)})"
 
     def system(self) -> control.StateSpace:

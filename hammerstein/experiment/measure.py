@@ -19,7 +19,7 @@ from hammerstein.hysteresis import Memory
 from hammerstein.metrics import LoopFigures, Measured, Metric, Row, loop_figures, metrics_of
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response, refuse_unbounded
-from hammerstein.quantities import interval, length
+from hammerstein.quantities import interval, length, number_of
 from hammerstein.signals import OneFrequency
 
 RECORDED_BLOCK = 100_000  # samples that are simulated at once where not all are recorded; they fit the cache
@@ -311,7 +311,9 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
     if case.axis is None or not isinstance(case.signal, OneFrequency) or not case.signal.periodic:
         return None
     frequency, sensor = case.signal.frequency_hz, setup.plant.instruments.sensor
-    nyquist = 0.5 / response.sample_time_s
+    highest = 0.5 / response.sample_time_s
+    if not sensor.clipped(response.reading_um):  # whose edges have harmonics without end
+        highest = min(highest, sensor.bandwidth_hz)
     input_ = response.drive_v if response.reference_um is None else response.reference_um
     return loop_figures(
         input_[case.axis],
@@ -319,7 +321,7 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
         frequency,
         response.sample_time_s,
         window.settle_cycles,
-        max(1, int(min(sensor.bandwidth_hz, nyquist) / frequency)),
+        max(1, int(highest / frequency)),
     )
 
 
@@ -435,7 +437,7 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         if result.unsettled:
             statements.append(f"{where}: the position has not settled; {result.unsettled}.")
         if cut := row.saturated_samples:
-            statements.append(f"{where}: the drive's range clipped {cut} sample{'s' * (cut != 1)}.")
+            statements.append(f"{where}: the drive's range clipped {number_of(int(cut), 'sample')}.")
         if result.clipped:
             statements.append(
                 f"{where}: the sensor's range clipped {result.clipped} samples of the reading; use a "

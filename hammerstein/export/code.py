@@ -258,6 +258,8 @@ class CCode:
         if isinstance(self.block, ForwardModel):
             return [*said, self.block.statement()]
         start = ", ".join(f"{u:.6g} V" for u in limits.start_v)
+        if limits.conditioned:
+            start += ", to which it came from the highest, then the lowest voltage of this range"
         said.append(
             f"The drive stays within {limits.words(self.model.inputs)}. Before the first sample the "
             f"actuator is at {start}; the reference is zero there."

@@ -192,7 +192,7 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
             else ""
         )
         way = f", relaxing within {knees} V" if knees else ""
-        return f"Bouc-Wen of {self.n_inputs} inputs and {self.n_outputs} outputs{way}"
+        return f"Bouc-Wen of {self.ports}{way}"
 
     @cached_property
     def bank(self) -> Array:

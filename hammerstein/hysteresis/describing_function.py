@@ -110,7 +110,7 @@ def nonlinearity_of(
     from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
     if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
-        axes = f"{hysteresis.n_inputs} inputs and {hysteresis.n_outputs} outputs"
+        axes = hysteresis.ports
         raise InputError(
             "describing function", f"needs a single pair; the block has {axes}: give one pair of it"
         )

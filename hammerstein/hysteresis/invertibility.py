@@ -25,6 +25,7 @@ from hammerstein.hysteresis import (
     Sloped,
     slopes_of,
 )
+from hammerstein.quantities import number_of
 
 LARGEST_NUMBER = 2_000_000
 """Combinations of slopes that are written down: 16 MB a pair."""
@@ -124,7 +125,7 @@ class Invertibility:
         counts = ((min(self.positive, self.negative), "of the other sign"), (self.singular, "zero"))
         flaws = [f"{n} {'is' if n == 1 else 'are'} {what}" for n, what in counts if n]
         places = "; ".join(
-            f"{self._name(k)} with {n} moving operator{'s' * (n != 1)} (thresholds up to {r:.4g} V)"
+            f"{self._name(k)} with {number_of(n, 'moving operator')} (thresholds up to {r:.4g} V)"
             + self._between(k)
             for k, (n, r) in enumerate(zip(self.engaged, self.thresholds_v, strict=True))
         )

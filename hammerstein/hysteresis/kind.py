@@ -28,7 +28,7 @@ from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.plugins import Family
-from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError
+from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError, number_of
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
@@ -78,6 +78,11 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     def n_outputs(self) -> int:
         """Number p of outputs."""
         return len(self.operators)
+
+    @property
+    def ports(self) -> str:
+        """Numbers of inputs and outputs in words."""
+        return f"{number_of(self.n_inputs, 'input')}, {number_of(self.n_outputs, 'output')}"
 
     @property
     @abstractmethod

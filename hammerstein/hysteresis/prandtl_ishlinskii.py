@@ -91,11 +91,11 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         counts = sorted({len(pair.thresholds_v) for pair in pairs})
         thresholds = np.concatenate([pair.thresholds_v for pair in pairs])
         if not thresholds.any():
-            return f"{self.n_inputs} inputs, {self.n_outputs} outputs, gains without hysteresis"
+            return f"{self.ports}, gains without hysteresis"
         operators = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
         plural = "" if counts[-1] == 1 else "s"
         return (
-            f"{self.n_inputs} inputs, {self.n_outputs} outputs, {operators} operator{plural} a pair, "
+            f"{self.ports}, {operators} operator{plural} a pair, "
             f"thresholds {thresholds.min():.4g} to {thresholds.max():.4g} V"
         )
 

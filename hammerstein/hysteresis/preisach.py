@@ -210,9 +210,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
     def describe(self) -> str:
         """Short description."""
         sides = " and ".join(str(n) for n in dict.fromkeys(len(c) for c in self.cells_um_per_v[0]))
-        m, p = self.n_inputs, self.n_outputs
-        axes = f"{m} input{'s' * (m > 1)}, {p} output{'s' * (p > 1)}"
-        return f"{axes}, a plane of {sides} cells on each side for each input"
+        return f"{self.ports}, a plane of {sides} cells on each side for each input"
 
     def counted_from(self, working_point_v: ArrayLike) -> Preisach:
         """Return the same hysteresis for voltages relative to another working point (m,) [V]."""

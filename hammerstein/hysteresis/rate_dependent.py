@@ -171,7 +171,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         most = max(float(plays.growth_s.max()) for plays in self.inputs)
         operators = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
         return (
-            f"{self.n_inputs} inputs, {self.n_outputs} outputs, {operators} plays for each input, "
+            f"{self.ports}, {operators} plays for each input, "
             f"thresholds grow by up to {most:.3g} V for each V/s"
         )
 

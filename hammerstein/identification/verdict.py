@@ -16,6 +16,8 @@ ALIKE = 0.05
 FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 """Rates that are two, and what makes a loop the wider one: parts of the other, and percent of the height."""
 UNSURE_DAMPING_PERCENT = 30.0  # standard error of a damping ratio from which it is named
+NO_CREEP = 1e-3
+"""Standard error of a gain of creep below which a gain of none means that there is no creep to speak of."""
 UNTOLD = (
     "You asked for dynamics, but the records do not identify any: THIS MODEL IS STATIC. Add records "
     "nearer to the resonance, such as faster sines, steps or a multisine."
@@ -53,7 +55,7 @@ the model: it lowers the error from 7.4 to 0.8 %.
         where += ", mean of the outputs"
     listed = ", ".join(f"{KIND_NAMES[kind]} {error:.3g} %" for kind, error in errors.items())
     sentences = [f"{where}: {listed} of the range."]
-    if {"linear_dynamics", "hammerstein"} <= errors.keys():
+    if {"linear_dynamics", "hammerstein"} <= errors.keys() and kept != "static_hysteresis":
         sentences.append(_improves("The hysteresis block", errors["linear_dynamics"], errors["hammerstein"]))
         sentences.append(_improves("The linear dynamics", errors["static_hysteresis"], errors["hammerstein"]))
     elif "in_loop" in errors:
@@ -126,9 +128,12 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> Iterator
             yield f"lag of {name}: {interval(fit.axis.lag_s or 0.0)} ± {interval(error_s)}"
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
+                small = error < NO_CREEP
+                longer = "use a record several times longer"
+                remedy = "the records show none; ask for fewer modes" if small else longer
                 yield (
                     f"creep of {name} with a time constant of {mode.time_constant_s:.3g} s: gain "
-                    f"{mode.gain:.2g} ± {error:.2g}; use a record several times longer"
+                    f"{mode.gain:.2g} ± {error:.2g}; {remedy}"
                 )
         yield from _unsure_creep(name, fit)
 

@@ -55,7 +55,8 @@ class HammersteinModel(ByValue, NotebookRepr):
     dynamics : p inputs, p outputs, unit gain at the frequencies at which the hysteresis was identified
     amplitude_v : largest voltage amplitude at which the hysteresis was identified [V]
     inputs, outputs : names of the axes; repeated names are numbered
-    instruments : drive and sensor of the actuator
+    instruments : drive and sensor of the actuator; where they state no range of the drive, the default one
+        gives way to voltages beyond it
     provenance : origin of the model, as plain JSON
     voltages : working point and range of the records; symmetric about 0 V, with that amplitude, if not given
     verdict : verdict of its identification, if it was identified from records
@@ -108,6 +109,8 @@ class HammersteinModel(ByValue, NotebookRepr):
         if free and (unstable := free.instability()):
             mistakes.append(Mistake("dynamics.A", unstable))
         refuse(f"model {self.name}", mistakes)
+        if self.voltages:
+            object.__setattr__(self, "instruments", self.instruments.reaching(self.voltages))
 
     @cached_property
     def recorded(self) -> Voltages:

@@ -20,7 +20,7 @@ from hammerstein.hysteresis import Memory
 from hammerstein.hysteresis.kind import refuse_not_finite
 from hammerstein.model import HammersteinModel
 from hammerstein.notebook_repr import NotebookRepr
-from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range, column, interval
+from hammerstein.quantities import POSITION_UM, VOLTAGE_V, Range, column, interval, number_of
 
 if TYPE_CHECKING:
     import control
@@ -107,8 +107,8 @@ class Response(NotebookRepr):
         low, high = np.min(self.position_um, initial=0.0), np.max(self.position_um, initial=0.0)
         cut = f", the range clipped {n} samples" if (n := int(self.saturated.any(axis=0).sum())) else ""
         return (
-            f"Response({samples} samples of {interval(self.sample_time_s)}, {m} inputs, "
-            f"{len(self.position_um)} outputs; position {low:.4g} to {high:.4g} um{cut})"
+            f"Response({samples} samples of {interval(self.sample_time_s)}, {number_of(m, 'input')}, "
+            f"{number_of(len(self.position_um), 'output')}; position {low:.4g} to {high:.4g} um{cut})"
         )
 
     @property

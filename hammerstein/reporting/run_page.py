@@ -11,6 +11,7 @@ from hammerstein.escaping import Markdown, code, markdown, markdown_page
 from hammerstein.experiment.report import Report, Trace, identified_at, is_path, percent
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import number_of
 from hammerstein.reporting.figures.loops import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
 from hammerstein.reporting.figures.sweep import MOST_CURVES
@@ -40,7 +41,7 @@ CAPTIONS = {
     "sweep_true": "One panel for each transfer, one curve for each compensator.",
     "sweep": "One panel for each transfer, one curve for each compensator or model.",
     "trials_true": "One panel for each measured axis. Trial 1 is without learning; each later trial corrects "
-    "the voltages with the sensor readings of the previous one.",
+    "the voltages with the sensor readings of the previous one, until only noise remains.",
     "trials": "One panel for each measured axis.",
     "operators": "Rms error of models that differ only in their number of play operators.",
     "loops": "One row of panels for each measured axis, one column for each driven axis. Each curve is the "
@@ -161,7 +162,7 @@ def _facts(report: Report) -> Iterator[str]:
     yield report.actuator
     for number, what in ((len(scenario.compensators), "compensator"), (len(scenario.models), "model")):
         if number:
-            yield f"{number} {what}{'s' * (number > 1)}"
+            yield number_of(number, what)
     found = sorted({row.frequency_hz for row in report.rows if row.frequency_hz})
     if found:
         yield f"{found[0]:g} Hz" if len(found) == 1 else f"{found[0]:g} to {found[-1]:g} Hz"

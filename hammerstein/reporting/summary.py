@@ -20,7 +20,7 @@ from hammerstein.experiment.report import (
     told_apart,
 )
 from hammerstein.metrics import METRICS, Row
-from hammerstein.quantities import by_key
+from hammerstein.quantities import by_key, number_of
 from hammerstein.signals import OneFrequency
 
 MOST_RANGES = 2  # ranges of a sweep that are told one by one; more are counted
@@ -284,7 +284,7 @@ def _spread(places: Sequence[tuple[float, str]]) -> str:
     if not places:
         return ""
     ends = " to ".join(f"{value:g}" for value, _ in dict.fromkeys([min(places), max(places)]))
-    return f" ({len(places)} run{'s' * (len(places) > 1)}, {ends} {places[0][1]})"
+    return f" ({number_of(len(places), 'run')}, {ends} {places[0][1]})"
 
 
 def doubts(report: Report) -> list[str]:

@@ -180,6 +180,10 @@ def test_play_says_where_voltages_leave_the_records(
     [
         ("time_s,a\n0,1\n1,2\n", "has the columns a; give one for each axis: u_x, u_y"),
         ("time_s,a,b\n0,1,1\n1,2,2\n5,0,0\n", "not evenly spaced: row 2"),
+        (
+            "time_s,a,b\n0,1,1\n1,2,2\n2,0,0\n20,1,1\n",
+            "row 4 comes after 18 s, most rows after 1 s; resample it",
+        ),
         ("a,b\n0,1\n", "needs a header with a column time_s"),
         ("time,a\n", "no numbers below it"),
         ("time_s,x,y\n0,1,1\n1,2,2\n", "bad.csv: has the columns of a path, not of voltages; compute"),

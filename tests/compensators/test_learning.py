@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,6 +143,32 @@ def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
     assert taught.limit_hz == first
     assert f"Above {first:.4g} Hz the model is too uncertain." in taught.statement()
     assert f"Go on: play the new drive, corrected at {taught.learnt} lines" in taught.statement()
+
+
+def test_what_an_uncertain_model_leaves_is_not_called_noise(model, law):
+    path = circle()
+    drive = centred(law, model, path)
+    read = np.tile(0.9 * path, 10)
+    read += 0.01 * np.random.default_rng(1).standard_normal(read.shape)
+    taught = ilc_update(model, law, path, drive, read, ModelUncertainty(0.6, 0.01))
+    assert taught.finished
+    assert taught.learnt == 0
+    assert taught.unsure == 2  # the line of each axis
+    assert "noise remains" not in taught.statement()
+    assert "error remains at 2 lines of the spectrum, but the model is too uncertain" in taught.statement()
+    np.testing.assert_array_equal(taught.drive_v, drive)
+
+
+def test_an_error_within_the_noise_is_stated_as_a_bound(model, law):
+    """It is 0 by chance where the noise that is taken off exceeds it; the true one is below the bound."""
+    for seed in range(20):
+        noise = 0.02 * np.random.default_rng(seed).standard_normal((2, 10 * circle().shape[1]))
+        path = circle()
+        read = np.tile(path, 10) + noise
+        taught = ilc_update(model, law, path, centred(law, model, path), read)
+        found = re.search(r"trial below (\S+) um, noise of the mean reading (\S+) um", taught.statement())
+        assert found, taught.statement()
+        assert 0.0 < float(found[1]) < 5.0 * float(found[2])
 
 
 def test_a_model_that_states_no_error_is_as_uncertain_as_the_actuators_that_learning_is_tried_on():

@@ -309,6 +309,19 @@ def test_the_lag_of_the_sensor_is_told_from_the_error_of_the_actuator():
     assert not [t for t in run(Scenario.model_validate(prompt)).statements if "lags" in t]
 
 
+def test_a_clipped_loop_is_as_high_as_the_sensor_reads():
+    """Its edges have harmonics without end: without those above the bandwidth it was 61.5 um of 60."""
+    content = {
+        "drive": {"kind": "sine", "amplitude_v": 8.0, "frequency_hz": 50.0, "axis": 1},
+        "instruments": {
+            "sensor": {"range_um": 30.0, "noise_um": 0.0, "resolution_um": 0.0, "bandwidth_hz": 500.0}
+        },
+    }
+    report = run(_scenario(actuator="duo_bimorph", **content))
+    (row,) = [row for row in report.rows if row.measured_axis == "x"]
+    assert row.height_um == pytest.approx(60.0, rel=1e-9)
+
+
 @pytest.mark.parametrize(("reading", "told"), [(1.9, False), (2.1, True), (15.0, True)])
 def test_a_sensor_lags_where_the_reading_is_off_twice_as_far_as_the_position(reading, told):
     """However far the position is off."""

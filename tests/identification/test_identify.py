@@ -254,6 +254,7 @@ def test_verdict_speaks_of_what_it_compares():
     }
     assert asked["static_hysteresis"] == f"{UNTOLD} {verdict(scores, True, (), 'auto', 'static_hysteresis')}"
     assert asked["hammerstein"] == verdict(scores, True, (), "auto", "hammerstein")
+    assert "linear dynamics improve" not in asked["static_hysteresis"]  # beside "this model is static"
 
 
 @pytest.mark.parametrize(("plays", "improve"), [(0.4, True), (0.84, False)])

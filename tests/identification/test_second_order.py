@@ -245,6 +245,9 @@ def test_unsure_damping_and_creep_are_stated():
     assert said[1].startswith(
         "creep of x with a time constant of 300 s: gain 0.01 ± 0.02; use a record several times longer"
     )
+    none = (CreepMode(gain=1e-5, time_constant_s=0.03),)
+    (said,) = axis_statements(("x",), [axis_fit(50.0, True, none, (3e-5,))])
+    assert said.endswith("gain 1e-05 ± 3e-05; the records show none; ask for fewer modes")
 
 
 def test_a_lag_that_is_mostly_error_is_stated():

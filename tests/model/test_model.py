@@ -1,8 +1,11 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from hammerstein.blocks.instruments import Drive, Instruments
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -35,6 +38,18 @@ def test_file_keeps_every_bit(tmp_path):
         for pair, copy in zip(row, same, strict=True):
             np.testing.assert_array_equal(pair.thresholds_v, copy.thresholds_v)
             np.testing.assert_array_equal(pair.weights_um_per_v, copy.weights_um_per_v)
+
+
+def test_a_drive_of_no_stated_range_reaches_what_was_recorded(tmp_path):
+    """The default is the paper's converter of 10 V: a stack known from 0 to 100 V had no start inside it."""
+    known = {"amplitude_v": 50.0, "voltages": Voltages.of([50.0] * 3, [0.0] * 3, [100.0, 100.0, 60.0])}
+    model = replace(_ragged(), **known)
+    assert model.instruments.drive.range_v == ((0.0, 100.0), (0.0, 100.0), (0.0, 60.0))
+    model.save(tmp_path / "model.json")
+    assert HammersteinModel.load(tmp_path / "model.json").instruments == model.instruments
+    stated = replace(_ragged(), instruments=Instruments(drive=Drive(range_v=(-10.0, 10.0))), **known)
+    assert stated.instruments.drive.range_v == (-10.0, 10.0)
+    assert _ragged().instruments == Instruments()
 
 
 def test_digest_follows_the_numbers_and_not_the_words():

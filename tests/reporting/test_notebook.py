@@ -71,7 +71,7 @@ def test_texts_are_short_and_say_what_it_is(model, response, record):
     uneven = hammerstein.PrandtlIshlinskii(
         [[hammerstein.Pair.linear(2.0), hammerstein.Pair([0.1, 2.0], [1.0, 1.0])]]
     )
-    assert "2 inputs, 1 outputs, 1 to 2 operators a pair, thresholds 0 to 2 V" in repr(uneven)
+    assert "2 inputs, 1 output, 1 to 2 operators a pair, thresholds 0 to 2 V" in repr(uneven)
 
 
 @pytest.mark.parametrize("law", COMPENSATORS.kinds.values())

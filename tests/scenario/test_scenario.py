@@ -59,6 +59,7 @@ def test_values_arrive(tmp_path):
         ("identification = { frequency_hz = 50 }", "", ["give either identification or model"]),
         ("[reference]", "[drive]", ["drive.radius_um", "did you mean"]),
         ("[[compensators]]", "[[models]]", ["models[1].law", "unknown key"]),
+        ("question =", 'title = "My stage"\nquestion =', ["title  unknown key"]),
         ("question", "questoin", ["questoin", "did you mean question?"]),
     ],
 )

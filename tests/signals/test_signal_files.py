@@ -127,6 +127,27 @@ def test_a_drive_of_another_stage_is_named(tmp_path, capsys):
         assert ("another stage: Model duo_bimorph_static (duo_bimorph_static)" in said) == other
 
 
+@pytest.mark.parametrize(
+    ("start", "needs"),
+    [
+        ([], None),
+        (["--start", "3,-2"], "3 V on x, -2 V on y, at rest at 0 V, 0 V before, then directly to the start"),
+        (["--start", "3,-2", "--conditioned"], "driven to 10 V, 10 V, then to -10 V, -10 V, then directly"),
+    ],
+)
+def test_a_drive_from_another_state_is_named(tmp_path, capsys, start, needs):
+    """Played from rest it was off by 14 um from its own prediction, without a word on the terminal."""
+    path = write(tmp_path / "path.csv", **dict(zip("xy", path_um(), strict=True)))
+    drive_file, out = tmp_path / "drive.csv", tmp_path / "played.csv"
+    law = ("--law", "exact_inverse", *start)
+    assert call("compensate", "duo_bimorph_static", path, *law, "--out", drive_file) == 0
+    capsys.readouterr()
+    assert call("play", "duo_bimorph_static", drive_file, "--out", out) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert ("the drive is not made for that" in said) == (needs is not None)
+    assert needs is None or needs in said
+
+
 def test_a_record_is_no_path(tmp_path, capsys):
     stage = HammersteinModel.load("duo_bimorph_static")
     named = replace(stage, inputs=("u_x", "u_y"))

@@ -9,7 +9,7 @@ import numpy as np
 from hammerstein.arrays import Array, Complex, Indices, spans
 from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import InputError, SimulationError
-from hammerstein.quantities import interval
+from hammerstein.quantities import interval, number_of
 
 LONGEST_FILTER = 100_000
 """Taps; two seconds of a path at 50 kHz."""
@@ -131,7 +131,7 @@ class LinearInverse:
     def statement(self) -> str:
         """Say how far ahead it looks, and at which frequencies it asks for much drive."""
         ahead = self.preview_samples
-        samples, time = f"{ahead} sample{'s' * (ahead != 1)}", interval(ahead * self.block.sample_time_s)
+        samples, time = number_of(ahead, "sample"), interval(ahead * self.block.sample_time_s)
         text = f"The inverse of the dynamics looks {samples} ahead ({time})"
         zeros = sorted(np.abs(self.zeros)[np.abs(self.zeros) > 1.0])
         if zeros:

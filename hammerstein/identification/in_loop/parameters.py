@@ -19,6 +19,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.kernels import follow
 from hammerstein.identification.state_space_candidates import gain_model
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import number_of
 
 FORMAT = "hammerstein-feedback-search/1"
 WHAT = "file of an interrupted search"
@@ -211,7 +212,7 @@ class LoopParameters:
         h, plays = self.r.shape
         products = f", {self.K.shape[1]} products" if self.K.size else ""
         often = ", twice per sample" * (self.moves - 1)
-        return f"order {len(self.B)}, {h} path{'s' * (h != 1)} of {plays} plays in the loop{products}{often}"
+        return f"order {len(self.B)}, {number_of(h, 'path')} of {plays} plays in the loop{products}{often}"
 
     def _pair(self, i: int) -> Pair:
         """Plays of z_i, the straight part at threshold 0; plays that came to one threshold are one."""

@@ -26,7 +26,7 @@ from hammerstein.identification.static.regressors import (
     delayed,
     regressor_blocks,
 )
-from hammerstein.quantities import RESONANCE_HZ, TIME_CONSTANT_S
+from hammerstein.quantities import RESONANCE_HZ, TIME_CONSTANT_S, number_of
 from hammerstein.records.record import Record
 
 SERIES = 16
@@ -136,7 +136,7 @@ class AxisShape:
     def name(self) -> str:
         """Words for a table."""
         fast = [word for word, held in (("lag", self.lag), ("second order", self.resonance)) if held]
-        creep = [f"{self.creep_modes} creep mode{'s' * (self.creep_modes > 1)}"] if self.creep_modes else []
+        creep = [number_of(self.creep_modes, "creep mode")] if self.creep_modes else []
         return " + ".join([*fast, *creep]) or "none"
 
 
