@@ -66,8 +66,6 @@ WORTHWHILE = 5e-3
 """Part of the error that a turn must gain where the records are so long that samples are left out."""
 CLEARLY_FELT = 0.5
 """Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
-FEWER = (0.75, 0.5)
-"""Parts of the number of thresholds with which their fit is tried again."""
 
 
 def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
@@ -104,12 +102,10 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
         return replace(finished_static(without_dynamics(task), static), axes=tuple(unfelt), others=others)
     notes: tuple[str, ...] = ()
     if not np.all(blocks.chosen.rms_um <= CLEARLY_FELT * static.best.blocks.chosen.rms_um):
-        coarse, static = static, finished_static(without_dynamics(task), static)
-        if static.best is not coarse.best:
-            task, guess, axes, blocks = _behind_fitted(task, guess, axes, blocks, static.best.blocks)
+        static = finished_static(without_dynamics(task), static)
     if settings.fits_thresholds and any(axis.identified for axis in axes):
         begun = blocks
-        axes, blocks = _with_fewer_if_needed(task, guess, axes, begun)
+        axes, blocks = _thresholds_and_axes(task, guess, axes, begun)
         axes, blocks = _searched_anew(task, guess, axes, blocks)
         notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
     before = axes
@@ -143,39 +139,17 @@ def _first_axes(
     return task, guess, _axes(task, task.thresholds_v, guess, 1).axes, others
 
 
-def _behind_fitted(
-    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: WeightFits, static: WeightFits
-) -> tuple[Task, FirstGuess, tuple[AxisFit, ...], WeightFits]:
-    """Axes behind thresholds fitted without axes, if these thresholds have a smaller error than the initial
-    ones.
-
-    Otherwise the error of coarse thresholds could be fitted as a delay, dynamics or creep, or could hide a
-    resonance. Axes that were not found before are searched again.
-    """
-    behind = replace(task, thresholds_v=thresholds_of(static))
-    guesses: Sequence[FirstGuess] = (guess,)
-    if not all(axis.identified and axis.excited for axis in axes):
-        grids = SlopeColumns.of(behind.thresholds_v).grids
-        guesses = guesses_of(task.records, task.starts, task.settings, task.progress, grids)
-    late, near, found, _ = _first_axes(behind, [with_checked_delay(behind, one) for one in guesses])
-    trial = of_fitted(late, behind.thresholds_v, dynamics_of(found))
-    late = replace(late, thresholds_v=task.thresholds_v)
-    return (late, near, found, trial) if gained(blocks.chosen, trial.chosen) else (task, guess, axes, blocks)
-
-
 def guesses_of(
     records: Sequence[Record],
     starts: Sequence[InitialState],
     settings: Settings,
     tell: Progress,
-    grids: Sequence[Array] | None = None,
 ) -> tuple[FirstGuess, ...]:
-    """Quick axes of every shape that is tried, behind plays with given thresholds if any."""
+    """Quick axes of every shape that is tried."""
     return tuple(
         search_axes(
             records,
             starts,
-            grids=grids,
             delay_samples=settings.delay_samples,
             sensor=settings.sensor,
             resonance=resonance,
@@ -311,24 +285,6 @@ def _with(
     if asked or (fit.identified and (step == "lag" or fit.creep_identified(task.records))):
         return fit
     return replace(old, unsure=fit) if step == "creep" else old
-
-
-def _with_fewer_if_needed(
-    task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], begun: WeightFits
-) -> tuple[tuple[AxisFit, ...], WeightFits]:
-    """Thresholds and axes fitted, with fewer thresholds than begun with where so many lead to no inverse."""
-    found = _thresholds_and_axes(task, guess, axes, begun)
-    settings, number = task.settings, max(map(len, task.thresholds_v[0]))
-    free = settings.operators == "auto" and settings.thresholds_v is None
-    for part in FEWER:
-        if found[1] is not begun or not free:
-            break
-        fewer = replace(task, thresholds_v=settings.thresholds(task.records, math.ceil(part * number)))
-        blocks = static_blocks(fewer, fewer.thresholds_v, dynamics_of(axes), settings.solver)
-        trial = _thresholds_and_axes(fewer, guess, axes, blocks)
-        if trial[1] is not blocks and gained(begun.chosen, trial[1].chosen):
-            found = trial
-    return found
 
 
 def _searched_anew(
