@@ -31,7 +31,7 @@ from hammerstein.identification.linear.axis_task import (
 from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.output_dynamics import MOST_CREEP, OutputDynamics
-from hammerstein.identification.projection import ROUGHLY, fit_block
+from hammerstein.identification.projection import fit_block
 from hammerstein.identification.residual_analysis import far_above_noise
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
@@ -64,6 +64,9 @@ MOST_TURNS = 8
 """Most times that thresholds and axes are fitted in turn; each must lower the criterion by one."""
 WORTHWHILE = 5e-3
 """Part of the error that a turn must gain where the records are so long that samples are left out."""
+CONVERGED = 1e-9
+"""Gain of a step, in parts of the error, under which thresholds and axes have arrived: with 1e-6, other
+versions of SciPy ended 3e-5 of the error away, and what is left of a cross-coupling moved by a half."""
 CLEARLY_FELT = 0.5
 """Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
 
@@ -325,19 +328,22 @@ def _thresholds_and_axes(
     best: tuple[tuple[AxisFit, ...], WeightFits] | None = None
     behind, thresholds_v = behind or dynamics_of(axes), thresholds_of(blocks)
     need = 1.0 if every == 1 else WORTHWHILE * 2.0 * task.outputs * blocks.chosen.samples
-    for _ in range(MOST_TURNS):
+    for turn in range(MOST_TURNS):
         task.progress("fitting the thresholds")
         thresholds_v = fitted_thresholds(task, thresholds_v, behind, rounds=1)
-        thresholds_v, begin = _together(task, thresholds_v, guess, behind)
+        begin = _near(guess, behind.axes)
+        if turn:  # behind the axes begun with, more thresholds stay than are told, which would wander
+            thresholds_v, begin = _together(task, thresholds_v, guess, behind)
         near = _axes(task, thresholds_v, begin, every).axes
         if not any(axis.identified for axis in near):
             break
         behind = dynamics_of(near)
         trial = of_fitted(task, thresholds_v, behind)
         least = criterion(best[1].chosen, free) if best else math.inf
-        if criterion(trial.chosen, free) >= least - need or lost_inverse(task, blocks, trial):
+        now = math.inf if lost_inverse(task, blocks, trial) else criterion(trial.chosen, free)
+        best = (near, trial) if now < least else best
+        if now >= least - need:
             break
-        best = (near, trial)
     if best is None or not gained(blocks.chosen, best[1].chosen):
         return axes, blocks
     if every == 1:
@@ -354,11 +360,15 @@ def _together(
     driven, found = driven_of(task, thresholds_v), OutputDynamics(behind.axes, task.delay_samples)
     middle, reach = 0.5 * (driven.low_v + driven.high_v), half_swing(task.records)
     driven = replace(driven, low_v=middle - reach, high_v=middle + reach)  # a play engages within one record
-    joint = fit_block(task, PrandtlIshlinskii.first_guesses(driven), driven, found, enough=ROUGHLY)
+    joint = fit_block(task, PrandtlIshlinskii.first_guesses(driven), driven, found, enough=CONVERGED)
     pairs = cast(PrandtlIshlinskii, joint.hysteresis).pairs
-    each = zip(map(axis_parameters, joint.behind.axes), guess.shapes, guess.parameters, strict=True)
-    parameters = tuple(own if shape == wanted else x for (shape, own), wanted, x in each)
-    return [[pair.thresholds_v for pair in row] for row in pairs], replace(guess, parameters=parameters)
+    return [[pair.thresholds_v for pair in row] for row in pairs], _near(guess, joint.behind.axes)
+
+
+def _near(guess: FirstGuess, axes: Sequence[Axis]) -> FirstGuess:
+    """The guess with the parameters of axes, where they are of its shapes."""
+    each = zip(map(axis_parameters, axes), guess.shapes, guess.parameters, strict=True)
+    return replace(guess, parameters=tuple(own if shape == wanted else x for (shape, own), wanted, x in each))
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:

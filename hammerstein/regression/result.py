@@ -3,7 +3,7 @@
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +16,7 @@ from hammerstein.experiment.report import Report
 from hammerstein.experiment.run import Outcome, find_scenarios, load_all, run_all
 from hammerstein.experiment.set_up import Progress
 from hammerstein.metrics import KEY
+from hammerstein.quantities import number_of
 from hammerstein.regression.compare import (
     Baseline,
     Finding,
@@ -79,8 +80,10 @@ class ScenarioCheck:
         if self.written is not None:
             aside = f"; your edited file is now {self.kept}" if self.kept else ""
             word = "written" if self.written else "unchanged"
-            return f"{self.name}: baseline {word}, {_count(self.numbers)}{aside}"
-        found = [*_counts(self.findings, self.numbers)] or [f"{_count(self.numbers)} within tolerance"]
+            return f"{self.name}: baseline {word}, {number_of(self.numbers, 'number')}{aside}"
+        found = [*_counts(self.findings, self.numbers)] or [
+            f"{number_of(self.numbers, 'number')} within tolerance"
+        ]
         return f"{self.name}: {', '.join(found)}"
 
     @property
@@ -104,7 +107,15 @@ class ScenarioCheck:
         if any(finding.kind is Kind.ORPHAN for finding in self.findings):
             return [], [f"  delete {self.path}, or restore its scenario"]
         rows, more = _table(self.findings)
-        return rows, [*more, *self._notes(), self._remedy(baseline_folder)]
+        missing = any(finding.kind is Kind.NO_BASELINE for finding in self.findings)
+        where = [f"  looked for {baseline_folder / f'{self.name}.json'}"] * missing
+        return rows, [
+            *where,
+            *more,
+            *_moved_keys(self.findings),
+            *self._notes(),
+            self._remedy(baseline_folder),
+        ]
 
     def _notes(self) -> list[str]:
         if not self.new_columns:
@@ -196,10 +207,6 @@ class CheckResult:
         return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _count(number: int, what: str = "number") -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
 def _counts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
     """Short statements, one for each kind of finding."""
     kinds = [finding.kind for finding in findings]
@@ -210,7 +217,7 @@ def _counts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
             yield str(kind)
     moved = kinds.count(Kind.MOVED)
     if moved:
-        yield f"{moved} of {_count(numbers)} left {'its' if moved == 1 else 'their'} tolerance"
+        yield f"{moved} of {number_of(numbers, 'number')} left {'its' if moved == 1 else 'their'} tolerance"
     for kind, what, state in (
         (Kind.MISSING_ROW, "row", "missing"),
         (Kind.MISSING_NUMBER, "number", "missing"),
@@ -219,7 +226,19 @@ def _counts(findings: Sequence[Finding], numbers: int) -> Iterable[str]:
     ):
         if kind in kinds:
             count = kinds.count(kind)
-            yield f"{_count(count, what)} {'is' if count == 1 else 'are'} {state}"
+            yield f"{number_of(count, what)} {'is' if count == 1 else 'are'} {state}"
+
+
+def _moved_keys(findings: Sequence[Finding]) -> Iterator[str]:
+    """Column by which no row of the baseline is like one of now: these runs cannot be compared."""
+    old, new = (
+        [dict(f.key) for f in findings if f.kind is kind] for kind in (Kind.MISSING_ROW, Kind.EXTRA_ROW)
+    )
+    for name in dict.fromkeys(name for row in old for name in row) if new else ():
+        before, now = ({row.get(name): None for row in rows} for rows in (old, new))
+        if not before.keys() & now.keys():
+            were, are = (", ".join(map(str, values)) for values in (before, now))
+            yield f"  rows of another {name} are not compared: {were} in the baseline, {are} now"
 
 
 def _table(findings: Sequence[Finding]) -> tuple[list[list[str]], list[str]]:

@@ -177,7 +177,9 @@ class Scenario(WithInfinity):
             if key in OF_COMPENSATORS:
                 without = [repr(c.label) for c in self.compensators if key not in type(c).model_fields]
                 if without or not self.compensators:
-                    yield f"sweep.{key} is not an option of {', '.join(without) or 'any compensator'}"
+                    remedy = "; give them a scenario of their own" if without else ""
+                    names = ", ".join(without) or "any compensator"
+                    yield f"sweep.{key} is not an option of {names}{remedy}"
             elif signal is not None and key not in signal.model_dump():
                 yield f"sweep.{key} is not a key of the {signal.kind} in this scenario"
         yield from self._swept_twice()

@@ -457,4 +457,4 @@ def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch)
         error_curve=False,
     )
     identify(records, given)
-    assert len(calls) == 2 + 2 < axes_candidates.MOST_TURNS  # and from resonances that are searched anew
+    assert len(calls) < axes_candidates.MOST_TURNS  # those from resonances that are searched anew, too

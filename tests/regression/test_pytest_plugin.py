@@ -108,7 +108,7 @@ def test_a_missing_baseline_fails(project: pytest.Pytester) -> None:
     (project.path / "reports/baseline/small.json").unlink()
     result = project.runpytest("scenarios/small.toml")
     result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(["small: has no baseline"])
+    result.stdout.fnmatch_lines(["small: has no baseline", "  looked for reports/baseline/small.json"])
 
 
 def test_the_folder_of_baselines_can_be_chosen(project: pytest.Pytester) -> None:

@@ -313,6 +313,8 @@ def test_one_scenario_fails_against_the_baseline_of_another(accepted: Path) -> N
     found = kinds(check_files([Path("scenarios/large.toml")]).findings)
     assert found[0] is Kind.SCENARIO_CHANGED
     assert found.count(Kind.MISSING_ROW) == found.count(Kind.EXTRA_ROW) == 4  # 2 x 2 transfers
+    said = check_files([Path("scenarios/large.toml")]).text()
+    assert "rows of another amplitude_v are not compared: 5.0 in the baseline, 10.0 now" in said
 
 
 def test_a_baseline_may_not_be_missing(accepted: Path) -> None:
