@@ -342,7 +342,7 @@ def _thresholds_and_axes(
         least = criterion(best[1].chosen, free) if best else math.inf
         now = math.inf if lost_inverse(task, blocks, trial) else criterion(trial.chosen, free)
         best = (near, trial) if now < least else best
-        if now >= least - need:
+        if turn and now >= least - need:
             break
     if best is None or not gained(blocks.chosen, best[1].chosen):
         return axes, blocks

@@ -439,6 +439,21 @@ def test_thresholds_and_axes_are_fitted_together(seed):
     assert fit.judged[fit.kind].rms_um == pytest.approx((0.02, 0.02), rel=0.03)
 
 
+def test_a_first_turn_without_an_inverse_does_not_end_the_fit(monkeypatch):
+    """It has the axes begun with; the thresholds begun with were kept, with 1.4 times the error."""
+    asked = []
+
+    def lost(*_):
+        asked.append(1)
+        return len(asked) == 1
+
+    monkeypatch.setattr(axes_candidates, "lost_inverse", lost)
+    given = Settings(20, dynamics="second_order", sensor_bandwidth_hz=SENSOR_HZ)
+    _, fit = identify(crowded(0.05, 1), replace(given, creep_modes=0, delay_samples=0))
+    assert len(asked) > 1
+    assert fit.judged[fit.kind].rms_um == pytest.approx((0.05, 0.05), rel=0.03)
+
+
 def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch):
     calls = []
 
