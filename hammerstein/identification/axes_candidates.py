@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
@@ -25,14 +25,12 @@ from hammerstein.identification.linear.axis_steps import rms_behind
 from hammerstein.identification.linear.axis_task import (
     AxisShape,
     AxisTask,
-    axis_of,
     parameters_of as axis_parameters,
 )
 from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.output_dynamics import MOST_CREEP, OutputDynamics
 from hammerstein.identification.projection import fit_block
-from hammerstein.identification.residual_analysis import far_above_noise
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.initial_state import shortened
@@ -61,7 +59,7 @@ from hammerstein.records.record import Record
 GROWN_SAMPLES = 200_000
 """Samples with which a low-pass or a creep mode more is searched."""
 MOST_TURNS = 8
-"""Most times that thresholds and axes are fitted in turn; each must lower the criterion by one."""
+"""Most times that thresholds are exchanged and fitted with the axes; each must lower the criterion by one."""
 WORTHWHILE = 5e-3
 """Part of the error that a turn must gain where the records are so long that samples are left out."""
 CONVERGED = 1e-9
@@ -109,16 +107,15 @@ def _built_with(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     if settings.fits_thresholds and any(axis.identified for axis in axes):
         begun = blocks
         axes, blocks = _thresholds_and_axes(task, guess, axes, begun)
-        axes, blocks = _searched_anew(task, guess, axes, blocks)
         notes = (KEPT,) if blocks is begun and settings.partition == "fitted" else ()
     before = axes
     axes, blocks, tried = _with_lag_and_creep(task, axes, blocks)
     if axes is not before and settings.fits_thresholds:
-        axes, blocks = _thresholds_and_axes(task, _guess_of(guess, axes), axes, blocks)
+        axes, blocks = _thresholds_and_axes(task, _guess_of(guess, dynamics_of(axes)), axes, blocks)
     if not any(axis.identified for axis in axes):
         return replace(static, axes=axes, others=(*others, *tried))
     dynamics = dynamics_of(axes)
-    linear = _axes(task, task.linear_thresholds(), _guess_of(guess, axes), thinning(task.records))
+    linear = _axes(task, task.linear_thresholds(), _guess_of(guess, dynamics), thinning(task.records))
     alone = _as_found(linear.axes)
     gains = static_blocks(task, task.linear_thresholds(), alone, "least_squares")
     found: dict[Kind, FittedModel] = {
@@ -175,11 +172,11 @@ def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
     )
 
 
-def _guess_of(guess: FirstGuess, axes: Sequence[AxisFit]) -> FirstGuess:
-    """Initial guess from fitted axes."""
+def _guess_of(guess: FirstGuess, behind: AxesDynamics) -> FirstGuess:
+    """Initial guess from axes; one that passes its input unchanged keeps what was guessed."""
     each = [
-        axis_parameters(fit.axis) if fit.identified else (shape, x)
-        for fit, shape, x in zip(axes, guess.shapes, guess.parameters, strict=True)
+        (shape, x) if axis == Axis() else axis_parameters(axis)
+        for axis, shape, x in zip(behind.axes, guess.shapes, guess.parameters, strict=True)
     ]
     return replace(guess, shapes=tuple(s for s, _ in each), parameters=tuple(x for _, x in each))
 
@@ -290,49 +287,22 @@ def _with(
     return replace(old, unsure=fit) if step == "creep" else old
 
 
-def _searched_anew(
+def _thresholds_and_axes(
     task: Task, guess: FirstGuess, axes: tuple[AxisFit, ...], blocks: WeightFits
 ) -> tuple[tuple[AxisFit, ...], WeightFits]:
-    """The same, or thresholds and axes from resonances that are searched behind the fitted thresholds.
+    """Axes and static block with thresholds and axes fitted together; as they were if nothing is gained.
 
-    A weak resonance that was searched behind coarse thresholds may be off by a turn of its phase, which the
-    thresholds then make up for: no small step leads back. The error stays far above the noise.
-    """
-    far = far_above_noise(blocks.chosen.rms_um, task.records, task.starts)
-    if not any(now and shape.resonance for now, shape in zip(far, guess.shapes, strict=True)):
-        return axes, blocks
-    grids, settings = SlopeColumns.of(thresholds_of(blocks)).grids, task.settings
-    known: dict[str, Any] = {"delay_samples": task.delay_samples, "sensor": settings.sensor}
-    found = search_axes(task.records, task.starts, grids=grids, progress=task.progress, **known)
-    behind = [
-        axis_of(shape, x) if shape == wanted else axis
-        for shape, x, wanted, axis in zip(
-            found.shapes, found.parameters, guess.shapes, dynamics_of(axes).axes, strict=True
-        )
-    ]
-    return _thresholds_and_axes(task, guess, axes, blocks, AxesDynamics(axes=tuple(behind)))
-
-
-def _thresholds_and_axes(
-    task: Task,
-    guess: FirstGuess,
-    axes: tuple[AxisFit, ...],
-    blocks: WeightFits,
-    behind: AxesDynamics | None = None,
-) -> tuple[tuple[AxisFit, ...], WeightFits]:
-    """Axes and static block with thresholds and axes fitted in turn; as they were if nothing is gained.
-
-    ``behind`` is what is begun with if not with the axes.
+    Between, thresholds are exchanged, and those not worth their price leave.
     """
     free, every = 1 + task.outputs, thinning(task.records)
     best: tuple[tuple[AxisFit, ...], WeightFits] | None = None
-    behind, thresholds_v = behind or dynamics_of(axes), thresholds_of(blocks)
+    behind, thresholds_v = dynamics_of(axes), thresholds_of(blocks)
     need = 1.0 if every == 1 else WORTHWHILE * 2.0 * task.outputs * blocks.chosen.samples
     for turn in range(MOST_TURNS):
         task.progress("fitting the thresholds")
         thresholds_v = fitted_thresholds(task, thresholds_v, behind, rounds=1)
-        begin = _near(guess, behind.axes)
-        if turn:  # behind the axes begun with, more thresholds stay than are told, which would wander
+        begin = _guess_of(guess, behind)
+        if turn:  # behind the first axes, more thresholds stay than are told: they would wander
             thresholds_v, begin = _together(task, thresholds_v, guess, behind)
         near = _axes(task, thresholds_v, begin, every).axes
         if not any(axis.identified for axis in near):
@@ -349,7 +319,7 @@ def _thresholds_and_axes(
     if every == 1:
         return best
     found = thresholds_of(best[1])
-    whole = _axes(task, found, _guess_of(guess, best[0]), 1).axes
+    whole = _axes(task, found, _guess_of(guess, dynamics_of(best[0])), 1).axes
     return whole, of_fitted(task, found, dynamics_of(whole))
 
 
@@ -362,13 +332,7 @@ def _together(
     driven = replace(driven, low_v=middle - reach, high_v=middle + reach)  # a play engages within one record
     joint = fit_block(task, PrandtlIshlinskii.first_guesses(driven), driven, found, enough=CONVERGED)
     pairs = cast(PrandtlIshlinskii, joint.hysteresis).pairs
-    return [[pair.thresholds_v for pair in row] for row in pairs], _near(guess, joint.behind.axes)
-
-
-def _near(guess: FirstGuess, axes: Sequence[Axis]) -> FirstGuess:
-    """The guess with the parameters of axes, where they are of its shapes."""
-    each = zip(map(axis_parameters, axes), guess.shapes, guess.parameters, strict=True)
-    return replace(guess, parameters=tuple(own if shape == wanted else x for (shape, own), wanted, x in each))
+    return [[pair.thresholds_v for pair in row] for row in pairs], _guess_of(guess, joint.behind.dynamics)
 
 
 def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:

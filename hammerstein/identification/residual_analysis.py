@@ -7,7 +7,7 @@ from pathlib import PurePath
 
 import numpy as np
 
-from hammerstein.arrays import Array, Flags
+from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.identification.excitation import is_noise
 from hammerstein.identification.options import PLAYS
@@ -63,8 +63,9 @@ def residual_statements(
     left = [candidate.residual(record, start) for record, start in zip(records, starts, strict=True)]
     samples = sum(error.shape[1] for error in left)
     rms = np.sqrt(np.sum([(error**2).sum(axis=1) for error in left], axis=0) / samples)
-    noise, far = noise_um(records), []
-    for o in np.flatnonzero(far_above_noise(rms, records, starts)):
+    noise, span = noise_um(records), ranges(records, starts)
+    far = []
+    for o in np.flatnonzero((rms > FAR * noise) & (rms > LEAST_PART * span)):
         hz = _strongest(records, [error[o] for error in left])
         above = float(f"{rms[o] / noise[o]:.2g}") if noise[o] > 0.0 else 0.0  # two digits, and no exponent
         times = f"{above:g} times the noise" if above else "far above the noise"
@@ -75,11 +76,6 @@ def residual_statements(
             f"The prediction error {', and that '.join(far)}: the records contain an effect that the "
             f"model lacks. {_proposal(settings)}."
         )
-
-
-def far_above_noise(rms_um: Array, records: Sequence[Record], starts: Sequence[InitialState]) -> Flags:
-    """Outputs (output,) whose rms error (output,) [um] matters, and is no noise."""
-    return np.asarray((rms_um > FAR * noise_um(records)) & (rms_um > LEAST_PART * ranges(records, starts)))
 
 
 def noise_um(records: Sequence[Record]) -> Array:

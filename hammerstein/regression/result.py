@@ -81,10 +81,8 @@ class ScenarioCheck:
             aside = f"; your edited file is now {self.kept}" if self.kept else ""
             word = "written" if self.written else "unchanged"
             return f"{self.name}: baseline {word}, {number_of(self.numbers, 'number')}{aside}"
-        found = [*_counts(self.findings, self.numbers)] or [
-            f"{number_of(self.numbers, 'number')} within tolerance"
-        ]
-        return f"{self.name}: {', '.join(found)}"
+        found = ", ".join(_counts(self.findings, self.numbers))
+        return f"{self.name}: {found or number_of(self.numbers, 'number') + ' within tolerance'}"
 
     @property
     def passed(self) -> bool:
@@ -107,15 +105,9 @@ class ScenarioCheck:
         if any(finding.kind is Kind.ORPHAN for finding in self.findings):
             return [], [f"  delete {self.path}, or restore its scenario"]
         rows, more = _table(self.findings)
-        missing = any(finding.kind is Kind.NO_BASELINE for finding in self.findings)
-        where = [f"  looked for {baseline_folder / f'{self.name}.json'}"] * missing
-        return rows, [
-            *where,
-            *more,
-            *_moved_keys(self.findings),
-            *self._notes(),
-            self._remedy(baseline_folder),
-        ]
+        if any(finding.kind is Kind.NO_BASELINE for finding in self.findings):
+            more.append(f"  looked for {baseline_folder / f'{self.name}.json'}")
+        return rows, [*more, *_moved_keys(self.findings), *self._notes(), self._remedy(baseline_folder)]
 
     def _notes(self) -> list[str]:
         if not self.new_columns:

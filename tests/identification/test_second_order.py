@@ -472,4 +472,4 @@ def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch)
         error_curve=False,
     )
     identify(records, given)
-    assert len(calls) < axes_candidates.MOST_TURNS  # those from resonances that are searched anew, too
+    assert len(calls) < axes_candidates.MOST_TURNS
