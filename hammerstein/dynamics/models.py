@@ -156,6 +156,15 @@ class AxesDynamics(Strict):
         return len(self.axes)
 
     @property
+    def settle_s(self) -> float:
+        """Time in which the slowest axis, without its creep, rings down to a thousandth [s]."""
+        times = [axis.lag_s for axis in self.axes if axis.lag_s is not None]
+        for axis in self.axes:
+            if axis.resonance_hz is not None and axis.damping_ratio:
+                times.append(0.5 / math.pi / axis.resonance_hz / axis.damping_ratio)
+        return math.log(1e3) * max(times, default=0.0)
+
+    @property
     def free(self) -> Array:
         """Parameters of all axes, one after the other; see ``Axis.free``."""
         return np.concatenate([axis.free for axis in self.axes])

@@ -13,7 +13,7 @@ from hammerstein.identification.axes_candidates import build_axes
 from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.fit_report import Errors, fit_of, model_of
-from hammerstein.identification.initialisation import first_task, settle_s_of, start_mode
+from hammerstein.identification.initialisation import first_task, start_mode
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.model_selection import Trial, chosen, trial_of
 from hammerstein.identification.operators import CurvePoint
@@ -131,7 +131,6 @@ class Prepared:
     task: Task
     built: CandidateSet
     curve: tuple[CurvePoint, ...]
-    settle_s: float
     errors: Errors
 
 
@@ -166,12 +165,11 @@ def fit_plays(
     built = build_axes(task, guesses) if guesses else build(task)
     response = responses(built.best.candidate, ready, task.starts)
     refuse_noise(ready, response)
-    settle_s = settle_s_of(guesses)
-    held_starts = _starts_of_held(held, built, settle_s, settings)
+    held_starts = _starts_of_held(held, built, settings)
     tell("testing the models")
     built, trials = _kept(task, built)
     errors = Errors({}, {}, held, held_starts, response, trials)
-    return Prepared(records, replace(task, progress=_silent), built, curve, settle_s, errors)
+    return Prepared(records, replace(task, progress=_silent), built, curve, errors)
 
 
 @_told
@@ -195,7 +193,7 @@ def fit_kind(
         task, built = with_hysteresis(replace(task, settings=asked), built)
         if built.untold:
             raise UntoldError(built.untold)
-        errors = errors._replace(held_starts=_starts_of_held(errors.held, built, prepared.settle_s, settings))
+        errors = errors._replace(held_starts=_starts_of_held(errors.held, built, settings))
     errors = errors._replace(
         fitted=_scores(built, task.records, task.starts, settings),
         judged=_scores(built, errors.held, errors.held_starts, settings) if errors.held else {},
@@ -227,12 +225,12 @@ def _scores(
 
 
 def _starts_of_held(
-    held: tuple[Record, ...], built: CandidateSet, settle_s: float, settings: Settings
+    held: tuple[Record, ...], built: CandidateSet, settings: Settings
 ) -> tuple[InitialState, ...]:
     """Initial states of the validation records, by the best model or by one that explains the start."""
     best = built.best.candidate
     simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not best]
-    return judged_starts(held, best.predict, settle_s, start_mode(settings), simpler, best.slow_s)
+    return judged_starts(held, best.predict, best.settle_s, start_mode(settings), simpler, best.slow_s)
 
 
 def _kept(task: Task, built: CandidateSet) -> tuple[CandidateSet, tuple[Trial, ...]]:

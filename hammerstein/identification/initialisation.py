@@ -67,7 +67,7 @@ def start_mode(settings: Settings) -> InitialStateMode:
 
 def settle_s_of(guesses: Sequence[FirstGuess]) -> float:
     """Time after which what rang before the records has settled in every model guessed [s]."""
-    return max((guess.settle_s for guess in guesses), default=0.0)
+    return max((guess.dynamics().settle_s for guess in guesses), default=0.0)
 
 
 def _first_starts(
@@ -83,7 +83,7 @@ def _first_starts(
     def fit(starts: Sequence[InitialState]) -> Callable[[Record, InitialState], Array]:
         return models.fitted(starts).predict
 
-    return found_starts(records, fit, guess.settle_s if guess else 0.0, mode)
+    return found_starts(records, fit, guess.dynamics().settle_s if guess else 0.0, mode)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ def creeping_starts(
     least, creeping, begun = min(tried, key=lambda one: one[0])
     for _ in range(CREEP_ROUNDS):
         model = _FirstModels(quick, creeping, settings).fitted(begun)
-        other = judged_starts(quick, model.predict, guess.settle_s, "auto", slow_s=model.slow_s)
+        other = judged_starts(quick, model.predict, guess.dynamics().settle_s, "auto", slow_s=model.slow_s)
         rms, near = _creeping_guess(quick, other, creeping, settings)
         if rms >= least:
             break

@@ -220,7 +220,7 @@ def _judged_alike(
 ) -> tuple[InitialState, ...]:
     """Initial states for judging one of several models; those of its fit where they explain the record."""
     simpler = [other.candidate.predict for other in tried if other is not one]
-    settle_s = max(other.settle_s for other in tried)
+    settle_s = max(other.candidate.settle_s for other in tried)
     open_ = unexplained(task.records, one.starts)
     judged = judged_starts(
         [task.records[i] for i in open_],
@@ -247,16 +247,6 @@ class HammersteinFit(NamedTuple):
         """Words for a table."""
         shapes = dict.fromkeys(axis_parameters(axis)[0].name for axis in self.behind.axes)
         return ", ".join(shapes) or f"{self.behind.delay_samples:g} samples late"
-
-    @property
-    def settle_s(self) -> float:
-        """Time in which the slowest axis, without its creep, rings down to a thousandth [s]."""
-        axes = self.behind.axes
-        times = [axis.lag_s for axis in axes if axis.lag_s is not None]
-        for axis in axes:
-            if axis.resonance_hz is not None and axis.damping_ratio is not None:
-                times.append(0.5 / np.pi / axis.resonance_hz / axis.damping_ratio)
-        return float(np.log(1e3)) * max(times, default=0.0)
 
 
 def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> HammersteinFit:
@@ -336,7 +326,7 @@ def _starts_behind(
     """
     mode = task.settings.start
     candidate = whole.candidate
-    judged = judged_starts(task.records, candidate.predict, whole.settle_s, mode, slow_s=candidate.slow_s)
+    judged = judged_starts(task.records, candidate.predict, candidate.settle_s, mode, slow_s=candidate.slow_s)
     creeps = candidate.slow_s > 0.0  # one that does not cannot tell whether the actuator did
     starts = tuple(
         new if creeps or not old.held else old for old, new in zip(task.starts, judged, strict=True)

@@ -43,6 +43,11 @@ class Candidate:
     placed: bool = False
 
     @property
+    def settle_s(self) -> float:
+        """Time in which its axes, without their creep, ring down to a thousandth [s]."""
+        return self.dynamics.settle_s if isinstance(self.dynamics, AxesDynamics) else 0.0
+
+    @property
     def slow_s(self) -> float:
         """Longest time constant of its creep [s]; 0 for a model that does not creep."""
         axes = self.dynamics.axes if isinstance(self.dynamics, AxesDynamics) else ()

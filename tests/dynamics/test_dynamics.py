@@ -254,3 +254,13 @@ def test_how_far_sines_come_out_is_what_python_control_says():
     gain = control.frequency_response(block.system(), 2.0 * np.pi * np.append(1e-9, hertz)).complex
     wanted = np.abs(gain[0, 0] / gain[0, 0, 0] - 1.0)[1:]
     assert block.lag(hertz) == pytest.approx(wanted, rel=1e-6)
+
+
+@pytest.mark.parametrize("axis", [{"resonance_hz": 80.0, "damping_ratio": 0.02}, {"lag_s": 0.03}])
+def test_the_slowest_axis_has_rung_down_to_a_thousandth_when_it_is_said_to_have(axis):
+    """The envelope of the step response, exp(-z w t) or exp(-t / T), of two axes; creep does not count."""
+    creeping = Axis(**axis, creep=(CreepMode(gain=0.1, time_constant_s=50.0),))
+    both = AxesDynamics(axes=(Axis(resonance_hz=500.0, damping_ratio=0.3), creeping))
+    t = np.linspace(0.0, both.settle_s, 20001)
+    left = np.abs(control.step_response(Axis(**axis).system(), t).outputs - 1.0)
+    assert left[-200:].max() == pytest.approx(1e-3, rel=0.1)

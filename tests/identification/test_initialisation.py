@@ -5,11 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.identification import initialisation
 from hammerstein.identification.linear import axis_steps
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 
+NOTHING = AxesDynamics(axes=(Axis(),))
 REST, STEPPED = (InitialState("rest"),), (InitialState("repeated"),)
 
 
@@ -33,7 +35,7 @@ def test_a_start_in_motion_is_decided_by_a_part_of_the_error_in_any_unit(monkeyp
     monkeypatch.setattr(initialisation, "_all_stepped_from", lambda end, records, starts: STEPPED)
     monkeypatch.setattr(initialisation, "judged_starts", lambda *args, **kwargs: STEPPED)
     monkeypatch.setattr(initialisation, "_creeping_guess", lambda q, s, g, o: (unit * left[s], g))
-    guess = SimpleNamespace(settle_s=0.0)
+    guess = SimpleNamespace(dynamics=lambda: NOTHING)
     told = initialisation.creeping_starts((None,), REST, guess, Settings(), lambda what: None)
     assert told == kept
 
@@ -45,7 +47,7 @@ def test_axes_are_guessed_with_the_starts_that_are_kept(monkeypatch, second):
 
     def guesses_of(records, starts, settings, tell):
         guessed_with.append(starts)
-        return (SimpleNamespace(settle_s=0.0, delay_samples=0, starts=starts),)
+        return (SimpleNamespace(dynamics=lambda: NOTHING, delay_samples=0, starts=starts),)
 
     def judged(records, predict, settle_s, mode):
         raise StopIteration

@@ -88,7 +88,7 @@ def tried(seed, settings=None):
         _, fit = identify(records, settings or Settings(), validation=[validation])
     except HammersteinError as error:
         return Outcome(seed, what, shape, refused=str(error)[:300])
-    errors = _errors(made, fit.candidates, fit.kind, more)
+    errors = _errors(fit, more)
     others = _others(made, fit, shape, seed)
     best = min(errors, key=lambda kind: sum(errors[kind]))
     stated, missed = _numbers(made, fit)
@@ -99,13 +99,14 @@ def tried(seed, settings=None):
     )  # fmt: skip
 
 
-def _errors(made, candidates, kind, record):
-    """Rms errors [um] of all candidates on the same samples of a record, each with its own start."""
-    ready, kept = from_last_rest([record], accept_order=True), candidates[kind]
-    begun = judged_starts(ready, kept.predict, _settle_s(made), slow_s=kept.slow_s)
+def _errors(fit, record):
+    """Rms errors [um] of all candidates on a record, judged as a validation record is."""
+    ready, kept = from_last_rest([record], accept_order=True), fit.candidates[fit.kind]
+    simpler = [one.predict for one in fit.candidates.values() if one is not kept]
+    begun = judged_starts(ready, kept.predict, kept.settle_s, simpler=simpler, slow_s=kept.slow_s)
     return {
         name: score(one, ready, own_starts(ready, begun, one.predict, slow_s=one.slow_s)).rms_um
-        for name, one in candidates.items()
+        for name, one in fit.candidates.items()
     }
 
 
@@ -115,8 +116,7 @@ def _others(made, fit, shape, seed):
     for _ in range(OTHERS // 2):
         sent = voltages(made, shape, g)[1:]
         found += _recorded(made, sent, g, shape)
-    chosen = {fit.kind: fit.candidates[fit.kind]}
-    return tuple(tuple(map(float, _errors(made, chosen, fit.kind, one)[fit.kind])) for one in found)
+    return tuple(tuple(map(float, _errors(fit, one)[fit.kind])) for one in found)
 
 
 def _recorded(made, sent, g, shape):
@@ -146,12 +146,6 @@ def _by_files(made, sent, read, names, g):
             if "give --rate if the sampling was uniform" not in str(error):  # the remedy
                 raise
             return read_records(files, inputs=inputs, outputs=outputs, rate_hz=made.rate_hz)
-
-
-def _settle_s(made):
-    rates = [2.0 * np.pi * hz * d for hz, d in zip(made.resonances_hz or (), made.damping, strict=True)]
-    rates += [1.0 / made.lag_s] if made.lag_s else []
-    return np.log(1e3) / min(rates) if rates else 0.0
 
 
 def _numbers(made, fit):

@@ -73,16 +73,6 @@ class FirstGuess:
         """Return the axes, without delay."""
         return AxesDynamics(axes=tuple(map(axis_of, self.shapes, self.parameters)))
 
-    @property
-    def settle_s(self) -> float:
-        """Time in which the slowest axis rings down to a thousandth [s]."""
-        rates = [2.0 * math.pi * math.exp(x[0] + x[1]) for s, x in self._each() if s.resonance]
-        rates += [math.exp(-x[s.slow - 1]) for s, x in self._each() if s.lag]
-        return math.log(1e3) / min(rates) if rates else 0.0
-
-    def _each(self) -> list[tuple[AxisShape, Array]]:
-        return list(zip(self.shapes, self.parameters, strict=True))
-
 
 def search_axes(
     records: Sequence[Record],
