@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from hammerstein.quantities import Figure, Offset
 from hammerstein.validation import Strict
@@ -32,14 +32,24 @@ class Voltages(Strict):
             "sign of the recorded voltages, if the opposite side is at most a quarter of the larger side"
         )
     )
+    conditioned: bool = Field(
+        default=False,
+        description="whether the records began after a drive to the highest, then to the lowest voltage",
+    )
 
     @model_validator(mode="after")
     def _is_ordered(self) -> Self:
-        if len({len(getattr(self, name)) for name in type(self).model_fields}) != 1:
+        each = (self.working_point_v, self.lowest_v, self.highest_v, self.poling)
+        if len(set(map(len, each))) != 1:
             raise ValueError("give as many working points, lowest and highest voltages and signs of poling")
         if any(low >= high for low, high in zip(self.lowest_v, self.highest_v, strict=True)):
             raise ValueError("lowest_v must lie below highest_v")
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        plain: dict[str, Any] = handler(self)
+        return {name: value for name, value in plain.items() if value is not False}
 
     @classmethod
     def of(cls, working_point_v: ArrayLike, lowest_v: ArrayLike, highest_v: ArrayLike) -> Voltages:
@@ -90,8 +100,8 @@ class Verdict(Strict):
     )
     rest_um: tuple[Figure, ...] = Field(
         default=(),
-        description="error of each output at rest, about the mean error of its record; none without a record "
-        "from rest",
+        description="error of each output at rest, about the mean error of its record; none where no record "
+        "begins at rest",
     )
 
     def error(self, outputs: Sequence[str]) -> str:

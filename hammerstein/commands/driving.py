@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hammerstein.commands.option_groups import AsJson, LawWords, Overwrite, RangeWords, Reached, Sent, volts
+from hammerstein.commands.option_groups import (
+    AsJson,
+    Conditioned,
+    LawWords,
+    Overwrite,
+    RangeWords,
+    Reached,
+    Sent,
+    volts,
+)
 from hammerstein.commands.options import grouped, refuse_output, told_by_options, write_output
 from hammerstein.commands.terminal import show, tell, tell_json, tell_kept, tell_statements, watched
 from hammerstein.errors import InputError
@@ -154,6 +163,7 @@ def play(
     sensor: Annotated[
         bool, typer.Option("--sensor", help="Simulate the model's converter and sensor, with noise.")
     ] = False,
+    conditioned: Conditioned = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -166,7 +176,7 @@ def play(
 
     refuse_output(out, [Path(model), drive], PLAYED, overwrite)
     with watched() as onlooker:
-        found = played(model, drive, sensor, onlooker)
+        found = played(model, drive, sensor, onlooker, conditioned)
         write_output(out, found.to_csv(onlooker.tell), PLAYED, overwrite)
     if as_json:
         tell_json({"played": str(out), **found.summary()})

@@ -349,6 +349,17 @@ def _value(words: str) -> Any:
         return words
 
 
+Conditioned = Annotated[
+    bool | None,
+    typer.Option(
+        "--conditioned/--at-rest",
+        help="The actuator was driven to HIGH, then LOW, before the start, or not; default: as before the "
+        "records.",
+        show_default=False,
+    ),
+]
+
+
 @dataclass(frozen=True)
 class Sent:
     """Range of the drive, and initial state of the actuator."""
@@ -358,10 +369,7 @@ class Sent:
         str | None,
         typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path is zero there."),
     ] = None
-    conditioned: Annotated[
-        bool,
-        typer.Option("--conditioned", help="The actuator was driven to HIGH, then LOW, before the start."),
-    ] = False
+    conditioned: Conditioned = None
     accept_flagged: Annotated[
         bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
     ] = False

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.compensators.drive_file import AT_REST, INITIAL_STATE, beyond_records
+from hammerstein.compensators.drive_file import AT_REST, DRIVEN_TO, INITIAL_STATE, beyond_records
 from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, PathWork, Tell, drive_csv
 from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.escaping import clean
@@ -37,6 +37,7 @@ class Played:
     time_s: Array
     response: Response
     with_sensor: bool
+    conditioned: bool
 
     def to_csv(self, tell: Tell | None = None) -> str:
         """Text of the file: time, voltages, positions and, with a sensor, readings."""
@@ -46,7 +47,8 @@ class Played:
         ]
         if self.with_sensor:
             groups.append(("reading", "um", self.model.outputs, self.response.reading_um))
-        said = f"Response of model {self.source} to these voltages, from rest at its working point."
+        before = "after its highest, then its lowest recorded voltage" if self.conditioned else "at rest"
+        said = f"Response of model {self.source} to these voltages, {before}, at its working point."
         return drive_csv(self.time_s, groups, [said], tell)
 
     def summary(self) -> dict[str, Any]:
@@ -60,18 +62,22 @@ class Played:
 
 
 def _said(path: Path) -> tuple[str, str]:
-    """What a drive file of ours says of its model, and of another initial state than rest; else nothing."""
+    """What a drive file of ours says of its model, and of the initial state; else nothing."""
     with path.open(encoding="utf-8", errors="replace") as lines:
         notes = [line for line in lines if line.startswith("# ")]
     model = next((line for line in notes if line.startswith(MADE_FOR)), "")
-    start = next((line for line in notes if INITIAL_STATE in line and AT_REST not in line), "")
+    start = next((line for line in notes if INITIAL_STATE in line), "")
     return re.split(r"(?<=\))[.:]", model.removeprefix("# "))[0].strip(), start.removeprefix("# ").strip()
 
 
 def played(
-    model_path: str, drive_path: Path, with_sensor: bool = False, onlooker: Onlooker = UNWATCHED
+    model_path: str,
+    drive_path: Path,
+    with_sensor: bool = False,
+    onlooker: Onlooker = UNWATCHED,
+    conditioned: bool | None = None,
 ) -> Played:
-    """Play the voltages of a file on a model that rests at its working point.
+    """Play the voltages of a file on a model that stands at its working point.
 
     Parameters
     ----------
@@ -80,6 +86,8 @@ def played(
         ``compensate`` also works
     with_sensor : whether to include converter and sensor of the model
     onlooker : informed of the cost before the work
+    conditioned : whether both ends of the recorded range were visited before; if not given, as the file says,
+        or as before the model's records
 
     Raises
     ------
@@ -87,6 +95,7 @@ def played(
     SimulationError : the response diverges, or the samples do not fit into memory
     """
     model = HammersteinModel.load(model_path)
+    rest_v = model.recorded.working_point_v
     time_s, values, names = read_signal(drive_path)
     if list(model.outputs) == names != list(model.inputs):
         what = "has the columns of a path, not of voltages; compute its drive with hammerstein compensate"
@@ -109,15 +118,20 @@ def played(
     if made_for and f"({clean(model.origin)})" not in made_for:
         text = f"{drive_path}: these voltages were computed for another stage: {made_for}"
         warnings.warn(text, Notice, stacklevel=2)
-    if start:
-        said = f"{drive_path}: played from rest at the working point, but the drive is not made for that."
+    if conditioned is None:
+        conditioned = DRIVEN_TO in start if start else model.recorded.conditioned
+    stands = ", ".join(f"{u:.6g} V on {name}" for name, u in zip(model.inputs, rest_v, strict=True))
+    made_as = f"{INITIAL_STATE}: {stands}, {DRIVEN_TO if conditioned else AT_REST}"
+    if start and not start.startswith(made_as):
+        how = "after both ends of the recorded range" if conditioned else "from rest"
+        said = f"{drive_path}: played {how} at the working point, but the drive is not made for that."
         warnings.warn(f"{said} {start}", Notice, stacklevel=2)
     beyond = beyond_records(model, u)
     if beyond:
         warnings.warn(f"{drive_path}: {beyond} The positions there are extrapolated.", Notice, stacklevel=2)
     instruments = model.instruments if with_sensor else None
     try:
-        response = model.simulate(u, sample_time_s, instruments=instruments)
+        response = model.simulate(u, sample_time_s, instruments=instruments, conditioned=conditioned)
     except SimulationError as error:
         raise SimulationError(f"{drive_path}: {error}") from None
-    return Played(model, PurePath(model_path).name, time_s, response, with_sensor)
+    return Played(model, PurePath(model_path).name, time_s, response, with_sensor, conditioned)

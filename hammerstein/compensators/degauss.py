@@ -48,7 +48,7 @@ class DegaussDrive:
             f"Position difference between histories from the two ends of the range: {left}.",
         ]
         if np.allclose(middle, working):
-            said.append("Afterwards the model starts at rest, as compensate assumes.")
+            said.append("Afterwards the model starts at rest, as compensate --at-rest assumes.")
         else:
             said.append(
                 "It ends in the middle of the range, not at the working point of the model: record "

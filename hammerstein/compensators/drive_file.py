@@ -40,6 +40,7 @@ HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 
 INITIAL_STATE, AT_REST = "Initial state, where the path is zero", "at rest, without history"
+DRIVEN_TO = "driven to"
 EARLIER = " Earlier motion shifts the position; less so after both ends of the range (--conditioned)."
 
 
@@ -195,7 +196,7 @@ class Compensation:
         text = f"{INITIAL_STATE}: {start}, "
         if limits.conditioned:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
-            return f"{text}driven to {top}, then to {low}, then directly to the start."
+            return f"{text}{DRIVEN_TO} {top}, then to {low}, then directly to the start."
         earlier = EARLIER if self.prediction.rest is None else ""
         if (limits.start_v == limits.working_point_v).all():
             return f"{text}{AT_REST}.{earlier}"
@@ -230,7 +231,8 @@ class Terms:
     range_v : (low, high) for all inputs or one after the other [V]; one number N stands for -N to N; the
         range of the records, as far as the model's own drive gives it, if not given
     start_v : voltage of each input before the first row [V]; the working point if not given
-    conditioned : whether the actuator was driven to both ends of the range before it came to the start
+    conditioned : whether the actuator was driven to the highest, then to the lowest voltage of the range
+        before it came to the start; if not given, whether the model's records began like that
     clip : accept a path that is partly out of reach
     beyond_records : accept voltages that the records did not cover
     accept_flagged : accept a model that its own fit report flagged
@@ -242,7 +244,7 @@ class Terms:
 
     range_v: tuple[float, ...] | None = None
     start_v: tuple[float, ...] | None = None
-    conditioned: bool = False
+    conditioned: bool | None = None
     clip: bool = False
     beyond_records: bool = False
     accept_flagged: bool = False
@@ -379,7 +381,8 @@ def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
         raise InputError("--start", f"names {len(terms.start_v)} voltages; the model has {m} inputs")
     start = None if terms.start_v is None else np.broadcast_to(np.array(terms.start_v), m)
     ends = np.stack([np.maximum(low, own[0]), np.minimum(high, own[1])], axis=1)
-    return DriveRange.of(ends, model, start, terms.conditioned)
+    begun = model.recorded.conditioned if terms.conditioned is None else terms.conditioned
+    return DriveRange.of(ends, model, start, begun)
 
 
 def _asked_range(model: HammersteinModel, given: tuple[float, ...], m: int) -> Array:

@@ -242,7 +242,7 @@ class CCode:
 
     def _about(self, measured: MeasuredCode) -> list[str]:
         lines: list[str] = []
-        for text in (*self.statements(), self._cost_words(measured), *self._precision(measured)):
+        for text in (*self.statements(), self._cost_words(measured), *self.precision(measured)):
             lines += [*textwrap.wrap(text, 104), ""]
         return lines[:-1]
 
@@ -289,12 +289,13 @@ class CCode:
             f"calls. ROM: {cost.constant_bytes} bytes of tables, and the code."
         )
 
-    def _precision(self, measured: MeasuredCode) -> list[str]:
+    def precision(self, measured: MeasuredCode) -> list[str]:
+        """Say what single precision loses, or that nothing is lost."""
         if self.request.float32:
             return [
                 "All computations use single precision. Compared with double precision, the output "
                 f"differs by {measured.loss_rms:.2g} {self._unit} rms, {measured.loss_max:.2g} "
-                f"{self._unit} at most over golden.csv."
+                f"{self._unit} at most over the sine at the beginning of golden.csv."
             ]
         return [
             "The numbers equal those of hammerstein's own step to the last bit, with "
@@ -327,8 +328,10 @@ def _verdict(model: HammersteinModel) -> str:
         return "none; the model file does not state how it was identified."
     if verdict.flagged:
         return "FLAGGED by its fit report: " + "; ".join(verdict.statements or ("see there",)) + "."
-    held = "tested by a validation record" if verdict.held_out else "without a validation record"
-    return verdict.sentence or f"not flagged ({held})."
+    error = verdict.error(model.outputs)
+    if error:
+        return f"not flagged; error {error}."
+    return f"not flagged ({'tested by a' if verdict.held_out else 'without a'} validation record)."
 
 
 def _left_by_dynamics(model: HammersteinModel, sample_time_s: float) -> str:

@@ -47,7 +47,12 @@ class ForwardModel:
 
     def statement(self) -> str:
         """State the conditions before the first sample."""
-        return "Before the first sample the actuator rests at its working point."
+        said = "Before the first sample the actuator rests at its working point, without history."
+        if not self.model.recorded.conditioned:
+            return said
+        return (
+            f"{said} Its records began after both ends of their range: first drive it there, highest first."
+        )
 
     def rest(self) -> ForwardState:
         """State of an actuator that was never driven."""
@@ -75,7 +80,7 @@ class Request(Strict):
     options: dict[str, Plain] = Field(default_factory=dict, description="of the law, as in a scenario")
     range_v: tuple[Offset, ...] | None = Field(default=None, description="voltages that may be used")
     start_v: tuple[Offset, ...] | None = Field(default=None, description="voltage before the first sample")
-    conditioned: bool = False
+    conditioned: bool | None = None
     accept_flagged: bool = False
     sample_time_s: SampleTime
     float32: bool = False
@@ -100,6 +105,9 @@ class Request(Strict):
         if self.law == MODEL:
             if self.options:
                 raise InputError("--law model", f"takes no options; {', '.join(sorted(self.options))} is one")
+            if self.conditioned:
+                what = "applies to laws; the exported model starts at rest: drive it to both ends first"
+                raise InputError("--conditioned", what)
             return ForwardModel(model, limits, self.sample_time_s)
         return sensorless_law(self.law, self.options, model, limits, self.sample_time_s)
 

@@ -202,7 +202,7 @@ def fit_kind(
     best = built.best.candidate
     placed = built.best.blocks.fitted if plain else best.placed
     known = parameter_covariance(best, task.records, task.starts, placed)
-    voltages = voltages_of(prepared.given, task.records, task.starts)
+    voltages = voltages_of(prepared.given, task.records, task.starts, best)
     fit = fit_of(task, built, prepared.curve, errors, voltages, known)
     return model_of(fit, best, name, instruments), fit
 

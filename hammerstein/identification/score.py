@@ -185,14 +185,14 @@ def invertibility_of(
 def rest_errors(
     candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
 ) -> Array | None:
-    """Rms over the records from rest of the error of each output there, about that of the whole record [um].
+    """Rms over the records of each output's error at their beginning, about that of the whole record [um].
 
     A path counts from where the actuator rests, and an error of a record about its mean. By as much as the
-    prediction is off at rest, the whole path is off. None where no record begins at rest.
+    prediction is off there, the whole path is off. None where no beginning is explained.
     """
     found = []
     for record, start in zip(records, starts, strict=True):
-        if start.kind == "rest" and not start.first:
+        if not (start.first or start.held or record.period_samples is not None):
             near = np.abs(record.u_v - record.u_v[:, :1]) <= AT_REST * np.ptp(
                 record.u_v, axis=1, keepdims=True
             )

@@ -151,6 +151,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         *,
         instruments: Instruments | None = None,
         seed: int | Sequence[int] = 0,
+        conditioned: bool = False,
     ) -> Response:
         """Simulate the response to voltages from rest, with all signals.
 
@@ -160,6 +161,8 @@ class HammersteinModel(ByValue, NotebookRepr):
         sample_time_s : time between samples [s], for which a voltage is held
         instruments : drive and sensor whose effects are wanted, such as the model's own; none if not given
         seed : of the sensor's noise
+        conditioned : whether the actuator was driven to the highest, then to the lowest recorded voltage, and
+            back to the working point before; positions count from there
 
         Raises
         ------
@@ -175,7 +178,8 @@ class HammersteinModel(ByValue, NotebookRepr):
         u = np.atleast_2d(np.asarray(u_v, dtype=np.float64))
         if u.ndim != 2 or len(u) != self.hysteresis.n_inputs:
             raise InputError("voltage", f"has shape {u.shape}; give ({self.hysteresis.n_inputs}, samples)")
-        return self._plant(sample_time_s, instruments).respond(u, np.atleast_1d(seed).tolist())
+        plant, seeds = self._plant(sample_time_s, instruments), np.atleast_1d(seed).tolist()
+        return plant.from_both_ends(u, seeds) if conditioned else plant.respond(u, seeds)
 
     def compensate(
         self,
@@ -184,7 +188,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         law: LawLike = "hammerstein_inverse",
         range_v: ArrayLike | None = None,
         start_v: ArrayLike | None = None,
-        conditioned: bool = False,
+        conditioned: bool | None = None,
         clip: bool = False,
         beyond_records: bool = False,
         accept_flagged: bool = False,

@@ -75,8 +75,8 @@ class Asked(NamedTuple):
 BEGINNINGS = {
     "rest": "from rest",
     "stepped": "with a step from 0 V",
-    "turned": "after turning points at",
-    "repeated": "in motion",
+    "turned": "after a drive to",
+    "repeated": "in the state in which it ends",
 }
 
 
@@ -245,11 +245,17 @@ def _body(model: HammersteinModel, fit: Fit) -> Markdown:
 
 def _begun(fit: Fit) -> Iterator[tuple[str, str, Sequence[float]]]:
     """Name of each record, how it begins, and the offsets of its outputs [um]."""
+    creeps = any(fitted.axis.creep for fitted in fit.axes)
     for record, start, offsets in zip(fit.records, fit.starts, fit.offsets_um, strict=True):
-        began = "while it still crept after a step" if start.held else BEGINNINGS[start.kind]
+        began = "while it still crept after a step" if start.held and creeps else BEGINNINGS[start.kind]
+        if start.kind == "repeated" and start.first:
+            began = "in motion"
         if start.kind == "turned":
             turns = zip(fit.inputs, start.turn_v, record.rest_v, strict=True)
-            began += ", ".join(f" {turn + rest:.4g} V on {name}" for name, (_, turn), rest in turns)
+            began += ", ".join(
+                f" {before + rest:.4g} V and then {turn + rest:.4g} V on {name}"
+                for name, (before, turn), rest in turns
+            )
         if start.first:
             began += f", first {start.first} samples excluded"
         yield PurePath(record.source).name, began, offsets

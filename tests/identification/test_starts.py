@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import IdentificationError
+from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification import initialisation
 from hammerstein.identification.recorded import counted, voltages_of
+from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
     closed,
@@ -93,7 +96,8 @@ def test_a_voltage_begins_at_rest_within_a_hundredth_of_an_end_of_its_range(part
     """A record that begins in motion has its working point in the middle; so has one that is turned over."""
     u = 80.0 * np.concatenate([np.linspace(part, 1.0, 50), np.linspace(1.0, 0.0, 50)])[None] * sign
     record = Record(u, 0.1 * u, 1e-3)
-    found = voltages_of([record], [counted(record)], [InitialState("repeated", 50)])
+    model = Candidate(PrandtlIshlinskii([[Pair([0.0], [0.1])]]), StaticDynamics(n_outputs=1))
+    found = voltages_of([record], [counted(record)], [InitialState("repeated", 50)], model)
     assert found.working_point_v == pytest.approx([u[0, 0] if rests else 40.0 * sign])
 
 
