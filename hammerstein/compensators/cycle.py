@@ -354,7 +354,7 @@ def held_error(cycle: Cycle, table: Array, hold: int) -> Array:
 def _periodic_response(cycle: Cycle, hold: int) -> Complex:
     """Response (frequency, p, m) from a table to the settled position on the fine grid."""
     samples, time_s = cycle.drive_v.shape[1], cycle.sample_time_s
-    hysteresis, half = cycle.model.hysteresis, half_stroke(cycle.drive_v)
+    hysteresis, half = cycle.model.about_middle, half_stroke(cycle.drive_v)
     block = linearised(cycle.model.dynamics, time_s, hysteresis.amplitude(half).sum(axis=1))
     turn = np.arange(samples) / samples
     pulse = np.exp(-2j * np.pi * np.outer(turn, np.arange(hold))).sum(axis=1)

@@ -53,7 +53,7 @@ class ModelUncertainty:
         Infinite where the actuator responds with less than a tenth of what it does when it stands still:
         there it is another one, and its inverse would ask for more than a drive has.
         """
-        ends = model.hysteresis.amplitude(model.amplitude_v).sum(axis=1)
+        ends = model.about_middle.amplitude(model.amplitude_v).sum(axis=1)
         block = linearised(model.dynamics, sample_time_s, ends)
         response, still = _diagonal(block, frequency_hz), np.abs(_diagonal(block, np.zeros(1)))
         faint = np.abs(response) * FAINT < still

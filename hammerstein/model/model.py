@@ -262,15 +262,26 @@ class HammersteinModel(ByValue, NotebookRepr):
         """
         return self._plant(sample_time_s, instruments).to_iosys(seed, outputs, name)
 
+    @property
+    def about_middle(self) -> Hysteresis[Any]:
+        """The hysteresis for voltages relative to the middle of the recorded range.
+
+        Dead-zones, envelopes and planes depend on the absolute voltage: a loop about 0 V is another one.
+        """
+        ends = np.array([self.recorded.lowest_v, self.recorded.highest_v])
+        return self.hysteresis.counted_from(ends.mean(axis=0)) if np.isfinite(ends).all() else self.hysteresis
+
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights (output, input) [um] of the settled loops at slow voltages of an amplitude [V].
+
+        The voltages are about the middle of the recorded range.
 
         Linear dynamics have unit gain at the frequency at which the static block was identified; a loop with
         hysteresis has a gain of its own.
 
         amplitude_v : of all inputs, or of each of them (m,)
         """
-        static = self.hysteresis.amplitude(amplitude_v)
+        static = self.about_middle.amplitude(amplitude_v)
         return self.dynamics.block().slow_ends(static) if isinstance(self.dynamics, WithLoop) else static
 
     def gain(self, amplitude_v: float) -> Array:

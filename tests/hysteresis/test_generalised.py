@@ -277,3 +277,17 @@ def test_five_experiments_leave_a_thousandth_of_a_percent_of_one_held_back(given
 def test_what_a_file_leaves_out_of_an_envelope_is_what_a_value_leaves_out():
     told = {"voltages_v": (0.0, 10.0), "values_v": (0.0, 4.0), "saturating_v": 2.0, "steepness_per_v": 0.5}
     assert EnvelopeFile.model_validate(told).value() == Envelope(**told)
+
+
+def test_the_gain_of_a_one_sided_actuator_is_that_of_its_own_loop():
+    """Heights of settled loops over the recorded range, by definition; a loop about 0 V is another one."""
+    model = random_model(SEED)
+    model = replace(model, voltages=Voltages.of([0.0, 0.0], [0.0, -1.0], [9.0, 7.0]))
+    up = np.linspace(0.0, 1.0, 400)
+    for k, (low, high) in enumerate([(0.0, 9.0), (-1.0, 7.0)]):
+        u = np.zeros((2, 2000))
+        u[k] = low + (high - low) * np.concatenate([up, up[::-1], up, up[::-1], up])
+        heights = np.ptp(by_definition(model, u)[:, 1000:], axis=1)
+        sizes = np.array([4.5, 4.0])
+        np.testing.assert_allclose(2.0 * model.amplitude(sizes)[:, k], heights, rtol=1e-3)
+        assert np.abs(2.0 * model.hysteresis.amplitude(sizes)[:, k] / heights - 1.0).max() > 0.02

@@ -92,7 +92,7 @@ class FeedbackController(Controller[ControllerState]):
         self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         self.range, self.sample_time_s = DriveRange.of(range_v, model), sample_time_s
         self.feedforward = feedforward
-        self.gain_um_per_v = hysteresis.gain(model.amplitude_v)
+        self.gain_um_per_v = model.about_middle.gain(model.amplitude_v)
         self.inverse_gain_v_per_um = np.ascontiguousarray(np.linalg.pinv(self.gain_um_per_v))
         self.gains = gains or _computed(model, sample_time_s, sensor_bandwidth_hz, derivative)
         self._settings = self._new_settings(sensor_bandwidth_hz)
@@ -346,7 +346,7 @@ def _computed(
 
 def _extreme_slopes(model: HammersteinModel) -> list[Array]:
     """Decoupled slope matrices J G^+ (p, p), each input at its least and greatest slope of each output."""
-    hysteresis = model.hysteresis
+    hysteresis = model.about_middle
     inverse = np.linalg.pinv(hysteresis.gain(model.amplitude_v))
     scale = np.linalg.pinv(inverse)
     ends = []
