@@ -334,11 +334,18 @@ def _stand_out(size: Array, places: Indices) -> Flags:
 
 
 def _swings_back(x: Array, start: int, stop: int) -> bool:
-    """Whether an excursion has one to the other side beside it, half as far or farther, as ringing has."""
+    """Whether an excursion has one to the other side beside it, half as far or farther, as ringing has.
+
+    The whole half wave counts, of which an excursion may be no more than the tip. Both are about the middle of
+    all samples: no step overshoots by more than its height.
+    """
+    off = x - np.median(x)
+    back = off * off[start] <= 0.0
+    start = start - int(np.argmax(np.append(back[start::-1], True))) + 1
+    stop = stop + int(np.argmax(np.append(back[stop:], True))) - 1
     reach = 4 * (stop - start + 1) + NEAR
-    around = x[max(start - reach, 0) : stop + 1 + reach]
-    off = around - np.median(around)
-    return bool(min(off.max(), -off.min()) >= 0.5 * np.abs(off).max())
+    around = off[max(start - reach, 0) : stop + 1 + reach]
+    return bool(min(around.max(), -around.min()) >= 0.5 * np.abs(around).max())
 
 
 def _placeholder(x: Array) -> Flags:

@@ -162,3 +162,21 @@ def test_spikes_are_found_where_a_resonance_moves_as_far(seed):
     found = np.flatnonzero(without_outliers(u[None], spiked[None]).lost_y[0])
     assert set(places) - set(found) == set()
     assert len(found) <= 22
+
+
+@pytest.mark.parametrize("damping", [0.005, 0.03, 0.1])
+@pytest.mark.parametrize("held", [300, 4000, 30_000])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_overshoot_of_a_step_is_no_outlier(damping, held, side):
+    """Second order (theory), 300 Hz at 10 kHz: the tip of the first half wave, after a rest and before a hold."""
+    t, w = np.arange(held) * 1e-4, 2.0 * np.pi * 300.0
+    turn = np.sqrt(1.0 - damping**2)
+    ring = np.exp(-damping * w * t) * (np.cos(turn * w * t) + damping / turn * np.sin(turn * w * t))
+    u = np.concatenate([np.zeros(1000), np.full(held, 60.0)])
+    y = side * np.concatenate([np.zeros(1000), 40.0 * (1.0 - ring)])
+    y = y + 0.005 * np.random.default_rng(1).standard_normal(y.size)
+    found = without_outliers(u[None], y[None])
+    assert not found.lost_y.any()
+    assert not found.lost_u.any()
+    y[1030] += 60.0 * side  # a spike beside it is one
+    assert np.flatnonzero(without_outliers(u[None], y[None]).lost_y).tolist() == [1030]
