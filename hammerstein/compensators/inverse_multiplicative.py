@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -13,6 +12,12 @@ from hammerstein.arrays import Array, spans
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
+from hammerstein.compensators.kernels import (
+    asked_for,
+    feed_back,
+    respond_inverse_multiplicative,
+    step_inverse_multiplicative,
+)
 from hammerstein.dynamics import linear
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis, PlayState, PrandtlIshlinskii, slopes_of
@@ -128,18 +133,12 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         self._frame, self._limits = self._frame_of_steps(), np.stack(self.range.counted)
         self._axes = (0.0,) * self.n_inputs
 
-    @cached_property
-    def _compiled_step(self) -> Any:
-        from hammerstein.compensators.kernels import step_inverse_multiplicative
-
-        return step_inverse_multiplicative  # looked up once: a step is short
-
     def _step(self, sample_um: Array, state: FeedbackState) -> tuple[Array, FeedbackState] | None:
         plays = state.plays
         if not isinstance(self.hysteresis, PrandtlIshlinskii) or not isinstance(plays, PlayState):
             return None
         bank = self.hysteresis.bank
-        drive, stack, memory, sound = self._compiled_step(
+        drive, stack, memory, sound = step_inverse_multiplicative(
             sample_um,
             self._frame,
             *(self._axes, self.gain_v_per_um, self.pole, self.iterations, self._limits),
@@ -182,8 +181,6 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
 
     def _stepwise(self, wanted_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
         """Run the loop over the samples around a block of any kind."""
-        from hammerstein.compensators.kernels import asked_for, feed_back
-
         plays, memory, drive = start.plays, start.memory_v.copy(), np.empty_like(wanted_um)
         for t in range(wanted_um.shape[1]):
             begun = plays  # only the last pass is sent; where the others leave a trace each begins there
@@ -199,8 +196,6 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         self, hysteresis: PrandtlIshlinskii, wanted_um: Array, start: FeedbackState
     ) -> tuple[Array, FeedbackState]:
         """Run the same loop over the samples, compiled."""
-        from hammerstein.compensators.kernels import respond_inverse_multiplicative
-
         plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
         assert isinstance(plays, PlayState)
         drive, b, axes = np.empty_like(wanted_um), hysteresis.bank, self._axes
