@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, spans, times
-from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock
+from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock, entries_of
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.quantities import Entry, InputNumber
 from hammerstein.validation import Strict
@@ -149,10 +149,6 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
     def __repr__(self) -> str:
         return f"FeedbackBlock(order {len(self.A)}, {self.hysteresis.describe()} in the loop)"
-
-    def linearised(self, amplitude_v: float) -> LinearBlock:
-        """Give the linear block with the gain of the settled loops at an amplitude of z in place of Gamma."""
-        return self.with_gain(self.hysteresis.gain(amplitude_v))
 
     def with_gain(self, gain: Array) -> LinearBlock:
         """Give the linear block with a gain (q, h) in place of Gamma."""
@@ -312,7 +308,4 @@ class FeedbackBlock(SteppedBlock, ByValue):
         """Non-zero entries of [[F, G, late], [A, B, E], [C, D, 0]] row by row."""
         q = self.E.shape[1]
         rows = [[self.F, self.G, self.late], [self.A, self.B, self.E]]
-        full = np.block([*rows, [self.C, self.D, np.zeros((self.n_outputs, q))]])
-        filled = full != 0.0
-        start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
-        return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
+        return entries_of(np.block([*rows, [self.C, self.D, np.zeros((self.n_outputs, q))]]))

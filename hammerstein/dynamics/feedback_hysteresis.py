@@ -122,22 +122,17 @@ class FeedbackHysteresisDynamics(MatrixForm):
 
     def block(self) -> FeedbackBlock:
         """Return its matrices, in continuous time or on its own sample time."""
-        gamma = self.hysteresis.hysteresis()
-        return FeedbackBlock(
-            **self.matrices(),
-            hysteresis=gamma,
-            sample_time_s=self.sample_time_s or CONTINUOUS,
-            products=self.products.products()
-            if self.products
-            else InputProducts.none(gamma.n_inputs, gamma.n_outputs),
-        )
+        gamma, time_s = self.hysteresis.hysteresis(), self.sample_time_s or CONTINUOUS
+        none = InputProducts.none(gamma.n_inputs, gamma.n_outputs)
+        curved = self.products.products() if self.products else none
+        return FeedbackBlock(**self.matrices(), hysteresis=gamma, sample_time_s=time_s, products=curved)
 
     def instability(self) -> str:
         """Say that a pole of the loop at large amplitudes is not stable; empty if all are."""
         block = self.block()
         if self.allow_unstable or not self.A:
             return ""
-        poles = np.linalg.eigvals(block.linearised(FAR_V).A)
+        poles = np.linalg.eigvals(block.with_gain(block.hysteresis.gain(FAR_V)).A)
         worst = float(poles.real.max() if self.sample_time_s is None else np.abs(poles).max() - 1.0)
         if worst < 0.0:
             return ""

@@ -106,6 +106,13 @@ class SteppedBlock(ABC):
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
+def entries_of(matrix: Array) -> tuple[Indices, Indices, Array]:
+    """First non-zero entry of each row and of the end, columns of the entries, and the entries."""
+    filled = matrix != 0.0
+    start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
+    return start, np.nonzero(filled)[1].astype(np.int64), matrix[filled]
+
+
 def transfer(A: Array, B: Array, C: Array, D: Array, z: Complex) -> Complex:
     """C (z I - A)^-1 B + D (point, output, input) at points z (point,)."""
     states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape)))
@@ -210,10 +217,7 @@ class LinearBlock(SteppedBlock, ByValue):
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:
         """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
-        full = np.block([[self.A, self.B], [self.C, self.D]])
-        filled = full != 0.0
-        start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
-        return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
+        return entries_of(np.block([[self.A, self.B], [self.C, self.D]]))
 
     def response(self, frequency_hz: ArrayLike) -> Complex:
         """Frequency response (frequency, p, m) of the block on its grid."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,14 +97,14 @@ def first_harmonic(hysteresis: Hysteresis[Any], amplitude_v: float, range_v: flo
 
 def nonlinearity_of(
     hysteresis: Hysteresis[Any],
-    of_amplitude: Callable[[float], complex],
     thresholds_v: Array,
     range_v: float,
+    of_amplitude: Callable[[float], complex] | None = None,
 ) -> HysteresisNonlinearity:
     """Return a block of one pair behind a drive for python-control.
 
-    of_amplitude : its describing function behind that drive
     thresholds_v : voltages by which a way must reverse until its operators move, sorted [V]
+    of_amplitude : its describing function behind that drive; from samples, if not given
 
     Raises InputError for more than one input or output, or a range within which no operator moves.
     """
@@ -125,4 +126,5 @@ def nonlinearity_of(
         return float(v_um[0])
 
     scale = max(largest, 1.0) if np.isinf(range_v) else range_v
+    of_amplitude = of_amplitude or partial(first_harmonic, hysteresis, range_v=range_v)
     return HysteresisNonlinearity(of_amplitude, move, (smallest or 1e-3 * scale, 100.0 * scale))

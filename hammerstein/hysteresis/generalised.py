@@ -13,7 +13,7 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
 from hammerstein.errors import InputError, Mistake, refuse
-from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
+from hammerstein.hysteresis.describing_function import nonlinearity_of
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
     Bounds,
@@ -431,12 +431,8 @@ class Generalised(Hysteresis[PlayState], Identifiable):
 
         Raises InputError for more than one input or output, or a range within which nothing moves.
         """
-
-        def of_amplitude(amplitude_v: float) -> complex:
-            return first_harmonic(self, amplitude_v, range_v)
-
         soonest = self.plays.pairs[0][0].thresholds_v / self.envelopes[0].all_slopes.max()
-        return nonlinearity_of(self, of_amplitude, soonest, range_v)
+        return nonlinearity_of(self, soonest, range_v)
 
     def file(self) -> GeneralisedFile:
         """Form in a model file."""

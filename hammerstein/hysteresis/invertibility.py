@@ -25,6 +25,7 @@ from hammerstein.hysteresis import (
     Sloped,
     slopes_of,
 )
+from hammerstein.hysteresis.rate_dependent import worst_shares
 from hammerstein.quantities import number_of
 
 LARGEST_NUMBER = 2_000_000
@@ -241,11 +242,8 @@ def _why_unproven(weights: Array, mean: Array, *, always: bool) -> str:
         return "the mean slopes are singular"
     for k, own_weights in enumerate(weights):
         shares = np.linalg.solve(mean, own_weights.T)
-        own, others = shares[k], np.delete(shares, k, axis=0)
-        least = own[0] + np.minimum(own[1:], 0.0).sum()
-        highest = others[:, 0] + np.maximum(others[:, 1:], 0.0).sum(axis=1)
-        lowest = others[:, 0] + np.minimum(others[:, 1:], 0.0).sum(axis=1)
-        most = float(np.maximum(highest, -lowest).sum())
+        others = np.delete(shares, k, axis=0)
+        least, most = worst_shares(shares[k], others)
         if least <= most + SINGULAR:
             beside = f", and moves the others by up to {most:.3g} of theirs" if len(others) else ""
             return (

@@ -25,7 +25,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from hammerstein.arrays import Array, ByValue, frozen, rows_of
 from hammerstein.blocks import Memory
 from hammerstein.blocks.law import require_grid
-from hammerstein.errors import InputError, SimulationError
+from hammerstein.errors import InputError, Mistake, SimulationError
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.plugins import Family
 from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError, number_of
@@ -296,42 +296,6 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
     return hysteresis.swept_slopes(k, amplitude_v)
 
 
-class HysteresisFile(Strict, ABC):
-    """Form of one kind of hysteresis in a model file, selected by ``kind``."""
-
-    model_config = ConfigDict(from_attributes=True)
-
-    describes: ClassVar[type[Hysteresis[Any]] | None] = None
-    """The class that it is the file of; needed where that is ``Identifiable``."""
-
-    if TYPE_CHECKING:  # a field of every kind
-        kind: str
-
-    def hysteresis(self) -> Hysteresis[Any]:
-        """Return the hysteresis this describes, from its fields by their names; InputError where it is none.
-
-        A kind whose class does not take what its file holds says otherwise.
-        """
-        parts = {name: described(value) for name, value in self if name != "kind"}
-        return cast("Hysteresis[Any]", cast("Any", self.describes)(**parts))
-
-    @model_validator(mode="after")
-    def _is_a_hysteresis(self) -> Self:
-        refuse_unbuilt(self.hysteresis)
-        return self
-
-
-HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")
-
-
-def refuse_unbuilt(build: Callable[[], object]) -> None:
-    """Let what cannot be built be a mistake at its place in the file: a ValueError for pydantic."""
-    try:
-        build()
-    except InputError as error:
-        raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
-
-
 def refuse_not_finite(u_v: Array) -> None:
     """Raise SimulationError with the place of the first voltage (m, N) that is not finite, if one is not."""
     if not np.isfinite(u_v).all():
@@ -346,7 +310,7 @@ def working_point(given: ArrayLike | None, m: int, kind: str) -> Array:
     """
     point = frozen(np.zeros(m) if given is None else given)
     if point.shape != (m,) or not np.isfinite(point).all():
-        raise InputError(f"{kind} model", f"its working point must be {m} finite voltages")
+        raise InputError(f"{kind} model", [Mistake("working_point_v", f"must be {m} finite voltages")])
     return point
 
 
@@ -355,17 +319,49 @@ class PartFile(Strict):
 
     model_config = ConfigDict(from_attributes=True)
 
-    describes: ClassVar[Callable[..., Any]]
+    describes: ClassVar[Callable[..., Any] | None] = None
     """What makes the part of its own fields, by their names."""
 
     def value(self) -> Any:
         """Return the part this describes; InputError where it is none."""
-        return self.describes(**self.model_dump())
+        return cast("Any", self.describes)(**{name: described(own) for name, own in self if name != "kind"})
 
     @model_validator(mode="after")
     def _is_a_part(self) -> Self:
         refuse_unbuilt(self.value)
         return self
+
+
+def refuse_unbuilt(build: Callable[[], object]) -> None:
+    """Let what cannot be built be a mistake at its place in the file: a ValueError for pydantic."""
+    try:
+        build()
+    except InputError as error:
+        raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
+
+
+class HysteresisFile(PartFile, ABC):
+    """Form of one kind of hysteresis in a model file, selected by ``kind``."""
+
+    describes: ClassVar[type[Hysteresis[Any]] | None] = None
+    """The class that it is the file of; needed where that is ``Identifiable``."""
+
+    if TYPE_CHECKING:  # a field of every kind
+        kind: str
+
+    def hysteresis(self) -> Hysteresis[Any]:
+        """Return the hysteresis this describes, from its fields by their names; InputError where it is none.
+
+        A kind whose class does not take what its file holds says otherwise.
+        """
+        return cast("Hysteresis[Any]", super().value())
+
+    def value(self) -> Hysteresis[Any]:
+        """Return the hysteresis."""
+        return self.hysteresis()
+
+
+HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")
 
 
 class PairFile(PartFile):

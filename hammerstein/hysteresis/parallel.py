@@ -148,8 +148,5 @@ class ParallelFile(HysteresisFile):
     """Blocks side by side whose outputs add: to be simulated."""
 
     kind: Literal["parallel"] = "parallel"
+    describes: ClassVar = Parallel
     parts: Annotated[tuple[Part, ...], Field(min_length=2)]
-
-    def hysteresis(self) -> Parallel:
-        """Return the hysteresis this describes."""
-        return Parallel(tuple(part.hysteresis() for part in self.parts))

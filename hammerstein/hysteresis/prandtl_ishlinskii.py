@@ -110,10 +110,11 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             message = f"weights have shape {weights.shape}; give (output, input, operator)"
             raise InputError("Prandtl-Ishlinskii model", message)
         r = frozen(thresholds_v)
-        rows = []
-        for l, row in enumerate(weights):  # noqa: E741 - the paper's index of an output
-            rows.append(tuple(_named_pair(r, w, l, k) for k, w in enumerate(row)))
-        return cls(tuple(rows))
+        rows: list[list[Pair]] = [[] for _ in weights]
+        for o, k in np.ndindex(weights.shape[:2]):
+            with naming(f"pair of output {o + 1} and input {k + 1}"):
+                rows[o].append(Pair(r, weights[o, k]))
+        return cls(tuple(map(tuple, rows)))
 
     @cached_property
     def bank(self) -> Bank:
@@ -298,18 +299,13 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
         def of_amplitude(amplitude_v: float) -> complex:
             return complex(describing_function(pair, amplitude_v, range_v))
 
-        return nonlinearity_of(self, of_amplitude, pair.thresholds_v, range_v)
+        return nonlinearity_of(self, pair.thresholds_v, range_v, of_amplitude)
 
 
 def _apart(thresholds_v: Array) -> Array:
     """Thresholds in order, apart in parts of the largest one."""
     top = float(thresholds_v.max(initial=0.0))
     return top * kept_apart(thresholds_v / top, 1.0) if top > 0.0 else thresholds_v
-
-
-def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:
-    with naming(f"pair of output {output + 1} and input {input_ + 1}"):
-        return Pair(r, w)
 
 
 def _checked_plays(plays: Array, r: Array, k: int) -> Array:

@@ -14,7 +14,7 @@ from pydantic import Field
 from hammerstein.arrays import Array, Flags, Indices, freeze, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
 from hammerstein.errors import Mistake, refuse
-from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
+from hammerstein.hysteresis.describing_function import nonlinearity_of
 from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
 from hammerstein.hysteresis.kind import (
     Hysteresis,
@@ -22,6 +22,7 @@ from hammerstein.hysteresis.kind import (
     lower_rows,
     lower_triangle,
     refuse_not_finite,
+    working_point,
 )
 from hammerstein.quantities import Offset, Weight
 
@@ -174,18 +175,14 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
         rows = tuple(tuple(frozen(cells) for cells in row) for row in self.cells_um_per_v)
         object.__setattr__(self, "cells_um_per_v", rows)
         m = len(self.low_v) if self.low_v.ndim == 1 else 0
-        given = np.zeros(m) if self.working_point_v is None else self.working_point_v
-        object.__setattr__(self, "working_point_v", frozen(given))
-        refuse("preisach model", list(self._mistakes(m)))
+        refuse("preisach model", self._mistakes(m))
+        object.__setattr__(self, "working_point_v", working_point(self.working_point_v, m, self.kind))
 
     def _mistakes(self, m: int) -> list[Mistake]:
         """What is wrong with the numbers given."""
         low, high, rows = self.low_v, self.high_v, self.cells_um_per_v
         if not m or high.shape != (m,) or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
             return [Mistake("low_v", "and high_v must be finite ends of each plane, the lower one below")]
-        rest = np.asarray(self.working_point_v)
-        if rest.shape != (m,) or not np.isfinite(rest).all():
-            return [Mistake("working_point_v", f"must be {m} finite voltages")]
         if not rows or any(len(row) != m for row in rows):
             return [Mistake("cells_um_per_v", f"must be a row of {m} triangles for each output")]
         for k, cells in enumerate(rows[0]):
@@ -374,12 +371,8 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
 
         Raises InputError for more than one input or output, or a range that is not above zero.
         """
-
-        def of_amplitude(amplitude_v: float) -> complex:
-            return first_harmonic(self, amplitude_v, range_v)
-
         soonest = np.array([0.0, 0.5 * float(self.high_v[0] - self.low_v[0])])
-        return nonlinearity_of(self, of_amplitude, soonest, range_v)
+        return nonlinearity_of(self, soonest, range_v)
 
     def file(self) -> PreisachFile:
         """Form in a model file; the working point stands there once, with the voltages."""

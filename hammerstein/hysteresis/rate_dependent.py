@@ -415,17 +415,24 @@ def stability_gain(weights: Array, growth_s: Array, poles: Array, sample_time_s:
         low, high = _mean_growth(own, growth_s[k])
         off = np.maximum(np.abs(growth_s[k] - low), np.abs(growth_s[k] - high))
         across.append(float((np.abs(others) * off).sum()))
-        sides = [
-            others[:, 0] + sign * np.maximum(sign * others[:, 1:], 0.0).sum(axis=1) for sign in (1.0, -1.0)
-        ]
-        most = np.maximum(np.abs(sides[0]), np.abs(sides[1])).sum()
-        kept.append(own[0] + np.minimum(own[1:], 0.0).sum() - most)
+        least, most = worst_shares(own, others)
+        kept.append(least - most)
         ends.append((min(low, 0.0), max(high, 0.0)))
     if min(kept) <= 0.0:
         return np.full(len(weights), np.inf)
     scale, half = (1.0 - poles) / sample_time_s, 0.5 * (1.0 + poles)
     (low, high), around = scale * np.array(ends).T, scale * np.array(across) / min(kept)
     return np.asarray(np.maximum(high + around / half, (around - low) / half))
+
+
+def worst_shares(own: Array, others: Array) -> tuple[float, float]:
+    """Least share of its own mean slope that an input keeps, and the most that it moves all others by.
+
+    own, others : (play,) and (other, play) shares of its plays, of which any may move with the first
+    """
+    highest = others[:, 0] + np.maximum(others[:, 1:], 0.0).sum(axis=1)
+    lowest = others[:, 0] + np.minimum(others[:, 1:], 0.0).sum(axis=1)
+    return own[0] + np.minimum(own[1:], 0.0).sum(), float(np.maximum(highest, -lowest).sum())
 
 
 def _mean_growth(weights: Array, growth_s: Array) -> tuple[float, float]:
