@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, singledispatch
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -148,6 +149,23 @@ class ZonesInverse(StaticInverse[DriveState]):
     @abstractmethod
     def _room(self, run_anyway: bool) -> tuple[int, float, Array]:
         """Room for the zones of an input, size of the voltages [V], and gain (m, row) [um/V]."""
+
+    @abstractmethod
+    def _loop(self, state: Any) -> tuple[Callable[..., None], int, tuple[Any, ...]]:
+        """Compiled loop, the work of a sample, and what the loop takes of the block; a memory it moves on."""
+
+    def solve(
+        self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None
+    ) -> tuple[Array, DriveState, Array]:
+        """See ``StaticInverse.solve``."""
+        drive, left, state = np.empty((self.n_inputs, v_um.shape[1])), away.copy(), start.model.copy()
+        back, (w, here) = recovery or Recovery.none(self.n_outputs), self.design_tables()
+        w["x"][:, 0] = start.drive_v
+        loop, work, own = self._loop(state)
+        wanted = np.ascontiguousarray(v_um)
+        for first, stop in spans(wanted.shape[1], work):
+            loop(wanted, *back, left, w, here, *own, first, stop, drive)
+        return drive, DriveState(state, w["x"][:, 0].copy()), left
 
 
 class ExactInverseLaw(StaticInverse[ExactState]):
