@@ -48,6 +48,12 @@ def times(matrix: Array, signals: Array) -> Array:
     return np.asarray((matrix.reshape(*matrix.shape, *[1] * (signals.ndim - 1)) * signals).sum(axis=1))
 
 
+def transfer(A: Array, B: Array, C: Array, D: Array | Complex, z: Complex) -> Complex:
+    """C (z I - A)^-1 B + D (point, output, input) at points z (point,)."""
+    states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape)))
+    return np.asarray(C @ states + D)
+
+
 class ByValue:
     """A frozen value with arrays in it: equal to one of its class all of whose fields are equal.
 

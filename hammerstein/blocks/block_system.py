@@ -1,6 +1,6 @@
 """As python-control has them: any block that moves sample by sample, and signals over time."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
@@ -177,22 +177,6 @@ def signals(wire: str, count: int) -> list[str]:
     ['requested_v[0]', 'requested_v[1]']
     """
     return [f"{wire}[{i}]" for i in range(count)]
-
-
-def time_response(
-    time_s: Array, outputs: Mapping[str, Array], inputs: Mapping[str, Array], title: str = "Response"
-) -> control.TimeResponseData:
-    """Signals (sample,) by name as one trace."""
-    return control.TimeResponseData(
-        time_s,
-        np.array(list(outputs.values())),
-        inputs=np.array(list(inputs.values())),
-        output_labels=list(outputs),
-        input_labels=list(inputs),
-        issiso=False,
-        title=title,
-        sysname="actuator",
-    )
 
 
 def traces_of(

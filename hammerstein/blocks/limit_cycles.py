@@ -9,7 +9,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, Complex
+from hammerstein.arrays import Array, Complex, transfer
 from hammerstein.errors import InputError
 
 Matrices = tuple[Array, Array, Array, Array, float | None]
@@ -244,9 +244,7 @@ class _Loop:
     def response(self, s: Complex) -> Complex:
         """H(s) for an array of s."""
         z = s if self.sample_time_s is None else np.exp(s * self.sample_time_s)
-        inside = z[:, None, None] * np.eye(len(self.A)) - self.A
-        states = np.linalg.solve(inside, np.broadcast_to(self.B, (len(z), *self.B.shape)).astype(complex))
-        return np.asarray((self.C @ states + self.D)[:, 0, 0])
+        return transfer(self.A, self.B, self.C, self.D, z)[:, 0, 0]
 
     def balance(self, amplitude: float, s: complex) -> complex:
         """1 + N(A) H(s)."""

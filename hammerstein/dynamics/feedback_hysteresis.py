@@ -229,11 +229,10 @@ class ElectromechanicalDynamics(Strict):
 
     def block(self) -> FeedbackBlock:
         """Return its matrices, in continuous time."""
-        n, each = len(self.axes), [axis.matrices() for axis in self.axes]
-        a, e, f, g = (np.zeros((rows * n, columns * n)) for rows, columns in ((2, 2), (2, 1), (1, 2), (1, 1)))
-        for i, (own_a, own_e, own_f, own_g) in enumerate(each):
-            a[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], e[2 * i : 2 * i + 2, i : i + 1] = own_a, own_e
-            f[i : i + 1, 2 * i : 2 * i + 2], g[i, i] = own_f, own_g[0, 0]
+        from scipy.linalg import block_diag
+
+        n, each = len(self.axes), zip(*(axis.matrices() for axis in self.axes), strict=True)
+        a, e, f, g = (block_diag(*parts) for parts in each)
         c = np.asarray(np.kron(np.eye(n), [[1.0, 0.0]]), dtype=np.float64)
         none = Pair(np.zeros(1), np.zeros(1))
         charges = [axis.charge() for axis in self.axes]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of, spans
+from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of, spans, transfer
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError
 from hammerstein.quantities import interval, number_of, sampling
@@ -111,12 +111,6 @@ def entries_of(matrix: Array) -> tuple[Indices, Indices, Array]:
     filled = matrix != 0.0
     start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
     return start, np.nonzero(filled)[1].astype(np.int64), matrix[filled]
-
-
-def transfer(A: Array, B: Array, C: Array, D: Array, z: Complex) -> Complex:
-    """C (z I - A)^-1 B + D (point, output, input) at points z (point,)."""
-    states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape)))
-    return np.asarray(C @ states + D)
 
 
 @dataclass(frozen=True, eq=False)

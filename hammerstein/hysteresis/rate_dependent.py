@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal
@@ -61,28 +61,24 @@ class RatePlays(ByValue):
 
     def __post_init__(self) -> None:
         freeze_fields(self, "thresholds_v", "growth_s")
+        refuse("rate-dependent plays", list(self._mistakes()))
+
+    def _mistakes(self) -> Iterator[Mistake]:
+        """What is wrong with the numbers given."""
         r, b = self.thresholds_v, self.growth_s
-        mistakes = []
         if r.ndim != 1 or not r.size or b.shape != r.shape:
-            mistakes.append(
-                Mistake(
-                    "growth_s", f"has shape {b.shape}, the thresholds {r.shape}; they must be equally many"
-                )
-            )
+            what = f"has shape {b.shape}, the thresholds {r.shape}; they must be equally many"
+            yield Mistake("growth_s", what)
         elif not (np.isfinite(r).all() and np.isfinite(b).all()):
-            mistakes.append(Mistake("thresholds_v", "and growth_s must be finite"))
+            yield Mistake("thresholds_v", "and growth_s must be finite")
         else:
             if (r < 0.0).any() or (np.diff(r) <= 0.0).any():
-                mistakes.append(Mistake("thresholds_v", "must be 0 or more and strictly increasing"))
+                yield Mistake("thresholds_v", "must be 0 or more and strictly increasing")
             if (b < 0.0).any() or (np.diff(b) < 0.0).any():
-                mistakes.append(
-                    Mistake(
-                        "growth_s", "must be 0 or more and not decrease, so that the plays keep their order"
-                    )
-                )
+                what = "must be 0 or more and not decrease, so that the plays keep their order"
+                yield Mistake("growth_s", what)
         if not (self.bandwidth_hz > 0.0 and 0.0 <= self.lambda_s_per_v < math.inf):
-            mistakes.append(Mistake("bandwidth_hz", "must be above 0, and lambda_s_per_v 0 or more"))
-        refuse("rate-dependent plays", mistakes)
+            yield Mistake("bandwidth_hz", "must be above 0, and lambda_s_per_v 0 or more")
 
 
 @dataclass(frozen=True, eq=False)

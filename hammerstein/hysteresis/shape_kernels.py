@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hammerstein.compiled import compiled, helper
-from hammerstein.hysteresis.play_kernels import BLOCK, at
+from hammerstein.compiled import at, compiled, helper
+from hammerstein.hysteresis.play_kernels import BLOCK
 
 HALVINGS = 60
 """Steps in which the tangent is inverted: more than the bits of a number."""

@@ -162,10 +162,20 @@ class Response(NotebookRepr):
 
         Raises InputError for a reference that this run does not have.
         """
-        from hammerstein.blocks.block_system import time_response
+        import control
 
         given: tuple[Wire, ...] = ("drive_v",) if self.reference_um is None else ("reference_um",)
-        return time_response(self.time_s, self._signals(outputs), self._signals(inputs or given))
+        leaving, entering = self._signals(outputs), self._signals(inputs or given)
+        return control.TimeResponseData(
+            self.time_s,
+            np.array(list(leaving.values())),
+            inputs=np.array(list(entering.values())),
+            output_labels=list(leaving),
+            input_labels=list(entering),
+            issiso=False,
+            title="Response",
+            sysname="actuator",
+        )
 
     def _signals(self, wires: Sequence[str]) -> dict[str, Array]:
         """Signals of some wires by the names that systems give them, ``drive_v[0]`` and so on."""

@@ -70,8 +70,7 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     ------
     InputError : a missing, empty or unreadable file, unknown columns (with the names that exist)
     """
-    path = Path(path)
-    refuse_missing(path)
+    path = refuse_missing(Path(path))
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         values, stated = array_columns(path, wanted)
@@ -114,8 +113,7 @@ class Header:
         ------
         InputError : a missing, empty or unreadable file
         """
-        path = Path(path)
-        refuse_missing(path)
+        path = refuse_missing(Path(path))
         suffix = path.suffix.lower()
         if suffix in SUFFIXES:
             arrays = {name: found.unit for name, found in variables_of(path).items() if name}
@@ -179,15 +177,14 @@ def read_array(path: str | Path, variable: str | None = None) -> Array:
     ------
     InputError : a missing or unreadable file, an unknown variable (with the names that exist)
     """
-    path = Path(path)
-    refuse_missing(path)
+    path = refuse_missing(Path(path))
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(str(path), f"is not a file of arrays; give one of {', '.join(SUFFIXES)}")
     return whole_array(path, variable or "")
 
 
-def refuse_missing(path: Path) -> None:
-    """Refuse what is no file with something in it that may be read: a pipe would be waited for.
+def refuse_missing(path: Path) -> Path:
+    """Return a path, and refuse one of no file with something in it that may be read, such as a pipe.
 
     Models, reports and scenarios are refused, too.
     """
@@ -205,6 +202,7 @@ def refuse_missing(path: Path) -> None:
             raise InputError(str(path), what)
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({(error.strerror or str(error)).lower()})") from None
+    return path
 
 
 def _columns(

@@ -40,8 +40,7 @@ from hammerstein.compensators.exact.piece_kernels import (
     push,
 )
 from hammerstein.compensators.kernels import from_rest, to_sent
-from hammerstein.compiled import compiled, helper
-from hammerstein.hysteresis.play_kernels import at
+from hammerstein.compiled import at, compiled, helper
 
 GONE = 1e-12
 """State of a recovery [um] that is as good as zero."""

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hammerstein.arrays import Array, Complex, Indices, spans
+from hammerstein.arrays import Array, Complex, Indices, spans, transfer
 from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.quantities import interval, number_of
@@ -113,9 +113,8 @@ class LinearInverse:
     def response(self, frequency_hz: Array) -> Complex:
         """Frequency response (frequency, p, p) from y to v, preview taken off and input delay left out."""
         z = np.exp(2j * np.pi * frequency_hz * self.block.sample_time_s)
-        resolvent = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
         direct = np.einsum("jvy,fj->fvy", self.taps, z[:, None] ** np.arange(len(self.taps)))
-        return np.asarray((self.C @ resolvent + direct) * z[:, None, None] ** self.ahead)
+        return transfer(self.A, self.B, self.C, direct, z) * z[:, None, None] ** self.ahead
 
     @cached_property
     def large_gain_hz(self) -> tuple[tuple[float, float], ...]:
