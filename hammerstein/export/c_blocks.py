@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import singledispatch
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ from hammerstein.hysteresis import (
 )
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """A number that is known when the code is compiled."""
 
     name: str

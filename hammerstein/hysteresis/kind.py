@@ -279,11 +279,6 @@ class Sloped(Protocol):
     Every slope is one of these, or a mean of some of them with the same shares for all outputs.
     """
 
-    @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        ...
-
     def slope_columns(self, k: int) -> Array:
         """Slopes (number, output) [um/V] that input k can have while it moves."""
         ...

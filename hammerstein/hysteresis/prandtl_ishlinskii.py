@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, frozen, spans
 from hammerstein.errors import InputError, Mistake, naming
-from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
+from hammerstein.hysteresis.describing_function import Describable, describing_function
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
     Bounds,
@@ -40,12 +40,9 @@ from hammerstein.hysteresis.pair import (
     refuse_other_sizes,
 )
 
-if TYPE_CHECKING:
-    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
+class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable, Describable):
     """Rate-independent hysteresis of m inputs and p outputs; each output responds to each input.
 
         v_l[k] = sum over inputs j and operators i of  w_lji  play(u_j; r_lji)[k]      (paper, eq. 4)
@@ -283,23 +280,14 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             rows.append(tuple(Pair(pair.thresholds_v, part) for pair, part in zip(row, parts, strict=True)))
         return PrandtlIshlinskii(tuple(rows))
 
-    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
+    @property
+    def reversals_v(self) -> Array:
+        """Thresholds of the first pair; see ``Describable``."""
+        return self.pairs[0][0].thresholds_v
 
-        Parameters
-        ----------
-        range_v : range of the drive, the same on both sides [V]; inf: none
-
-        Raises
-        ------
-        InputError : more than one input or output, or a range within which no operator moves
-        """
-        pair = self.pairs[0][0]
-
-        def of_amplitude(amplitude_v: float) -> complex:
-            return complex(describing_function(pair, amplitude_v, range_v))
-
-        return nonlinearity_of(self, pair.thresholds_v, range_v, of_amplitude)
+    def first_harmonic(self, amplitude_v: float, range_v: float) -> complex:
+        """Gain of the first harmonic in closed form; see ``Describable``."""
+        return complex(describing_function(self.pairs[0][0], amplitude_v, range_v))
 
 
 def _apart(thresholds_v: Array) -> Array:

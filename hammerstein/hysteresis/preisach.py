@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,7 @@ from pydantic import Field
 from hammerstein.arrays import Array, Flags, Indices, freeze, freeze_fields, frozen, spans
 from hammerstein.blocks import Memory
 from hammerstein.errors import Mistake, refuse
-from hammerstein.hysteresis.describing_function import nonlinearity_of
+from hammerstein.hysteresis.describing_function import Describable
 from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
 from hammerstein.hysteresis.kind import (
     Hysteresis,
@@ -25,9 +25,6 @@ from hammerstein.hysteresis.kind import (
     working_point,
 )
 from hammerstein.quantities import Offset, Weight
-
-if TYPE_CHECKING:
-    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
 MOST_CELLS = 40
 """Cells on a side of a plane at most: 820 weights a pair."""
@@ -57,8 +54,7 @@ class PreisachState(Memory):
     last: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Planes:
+class Planes(NamedTuple):
     """The planes of all inputs as the kernels want them.
 
     rest, low, high, size : (m,) working point, ends of the plane, width of a cell [V]; cells : (m,)
@@ -94,9 +90,8 @@ class Planes:
         from hammerstein.hysteresis.preisach_kernels import respond_preisach
 
         own, y = start.copy(), np.empty((self.node.shape[3], u_v.shape[1]))
-        planes = (self.rest, self.low, self.high, self.size, self.cells, self.node, self.beyond)
         for first, stop in spans(u_v.shape[1], 8 * len(u_v) * len(y)):
-            respond_preisach(u_v, *planes, own.count, own.x, own.tip, own.last, first, stop, y)
+            respond_preisach(u_v, *self, own.count, own.x, own.tip, own.last, first, stop, y)
         return y, own
 
     def fresh(self, home_v: Array) -> PreisachState:
@@ -123,7 +118,7 @@ class Planes:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Preisach(Hysteresis[PreisachState], Identifiable):
+class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
     """Sum of relays over a plane of switching voltages for each pair of m inputs and p outputs.
 
         v_l = sum over inputs j of  integral over beta <= alpha of  mu_lj(alpha, beta) relay(u_j; alpha, beta)
@@ -362,17 +357,10 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
             found.append(f"the Preisach plane of {name} has {len(cells)} x {len(cells)} cells")
         return found
 
-    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
-
-        Sines go about the working point; the first harmonic is that of the samples of the settled loop.
-
-        range_v : range of the drive, the same on both sides of the working point [V]; inf: none
-
-        Raises InputError for more than one input or output, or a range that is not above zero.
-        """
-        soonest = np.array([0.0, 0.5 * float(self.high_v[0] - self.low_v[0])])
-        return nonlinearity_of(self, soonest, range_v)
+    @property
+    def reversals_v(self) -> Array:
+        """Half of the width of a relay, from none to that of the plane; see ``Describable``."""
+        return np.array([0.0, 0.5 * float(self.high_v[0] - self.low_v[0])])
 
     def file(self) -> PreisachFile:
         """Form in a model file; the working point stands there once, with the voltages."""

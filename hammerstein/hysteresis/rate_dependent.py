@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,8 +90,7 @@ class RateState(Memory):
     rate_v_per_s: Array
 
 
-@dataclass(frozen=True, eq=False)
-class RateBank:
+class RateBank(NamedTuple):
     """All plays of every input as the kernels want them: n (m,), r and b (m, n_max), w (m, n_max, p)."""
 
     n: Indices
@@ -234,10 +233,9 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         refuse_not_finite(u_v)
         bank, y = self.bank, np.empty((self.n_outputs, u_v.shape[1]))
         state = start.copy()
-        plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
         for first, stop in spans(u_v.shape[1], 8 * bank.w.size):
-            respond_rate_dependent(u_v, self.grid_s, self.poles, *plays, *memory, first, stop, y)
+            respond_rate_dependent(u_v, self.grid_s, self.poles, *bank, *memory, first, stop, y)
         return y, state
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
@@ -239,43 +239,29 @@ def drift_true_um(m: Measured) -> Values:
     return [float(value) for value in last.mean(axis=1) - first.mean(axis=1)]
 
 
-@metric(
-    "height of the loop from its lowest to its highest point, twice the amplitude; for a "
-    "cross-coupling, its whole range [um]"
-)
-def height_um(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.height_um)
+def _loops(m: Measured, name: str) -> Values:
+    return None if m.loops is None else [getattr(loop, name) for loop in m.loops]
 
 
-@metric("width of the loop at the middle of its input's range [um]")
-def width_um(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.width_um)
-
-
-@metric("width divided by height [%]", ratio_of="height_um")
-def width_percent(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.width_percent)
-
-
-@metric(
-    "first harmonic of the reading divided by that of the driven quantity [um/V, or um/um for a reference]"
-)
-def gain(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.gain)
-
-
-@metric("phase of the same ratio; negative if the reading lags [deg]", ratio_of="gain")
-def phase_deg(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.phase_deg)
+_FIRST = "first harmonic of the reading divided by that of the driven quantity"
+for _name, _ratio_of, _meaning in (
+    (
+        "height_um",
+        None,
+        "height of the loop from its lowest to its highest point, twice the amplitude; for a cross-coupling, "
+        "its whole range [um]",
+    ),
+    ("width_um", None, "width of the loop at the middle of its input's range [um]"),
+    ("width_percent", "height_um", "width divided by height [%]"),
+    ("gain", None, f"{_FIRST} [um/V, or um/um for a reference]"),
+    ("phase_deg", "gain", "phase of the same ratio; negative if the reading lags [deg]"),
+):
+    METRICS[_name] = Metric(_name, _meaning, partial(_loops, name=_name), ratio_of=_ratio_of)
 
 
 @metric("number of samples in which the drive's range clipped the voltage", exact=True)
 def saturated_samples(m: Measured) -> Values:
     return int(np.count_nonzero(m.saturated))
-
-
-def _loops(m: Measured, of: Callable[[LoopFigures], float | None]) -> Values:
-    return None if m.loops is None else [of(loop) for loop in m.loops]
 
 
 @dataclass(frozen=True)

@@ -112,9 +112,8 @@ class PreisachInverseLaw(ZonesInverse):
         """See ``ZonesInverse._loop``."""
         from hammerstein.compensators.exact.zones_kernel import respond_exact_preisach
 
-        own, work = self.hysteresis.planes, 64 * self.n_inputs**2
-        planes = (own.rest, own.low, own.high, own.size, own.cells, own.node, own.beyond)
-        return respond_exact_preisach, work, (planes, (state.count, state.x, state.tip, state.last))
+        memory = (state.count, state.x, state.tip, state.last)
+        return respond_exact_preisach, 64 * self.n_inputs**2, (tuple(self.hysteresis.planes), memory)
 
 
 def most_pieces(cells: int, turns: int) -> int:
@@ -170,9 +169,8 @@ class RateDependentInverseLaw(ZonesInverse):
         from hammerstein.compensators.exact.zones_kernel import respond_exact_rate
 
         bank, grid = self.hysteresis.bank, (self.hysteresis.grid_s, self.hysteresis.poles)
-        plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
-        return respond_exact_rate, 64 * bank.w.size, (grid, plays, memory)
+        return respond_exact_rate, 64 * bank.w.size, (grid, tuple(bank), memory)
 
 
 exact_inverse_of.register(RateDependent, RateDependentInverseLaw)
