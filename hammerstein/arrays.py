@@ -1,6 +1,6 @@
 """Array types, read-only arrays, and the parts in which loops work through signals."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -134,3 +134,14 @@ def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
     length = max(1, SPAN // max(products, LEAST))
     for first in range(0, samples, length):
         yield first, min(first + length, samples)
+
+
+def filled(loop: Callable[..., object], *given: Any, shape: tuple[int, int], products: int = LEAST) -> Array:
+    """Array (row, sample) that a compiled loop fills in ``spans``.
+
+    loop : takes what is given, first sample and end of a part, and the array
+    """
+    rows = np.empty(shape)
+    for first, stop in spans(shape[1], products):
+        loop(*given, first, stop, rows)
+    return rows

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from hammerstein.arrays import Array, spans
+from hammerstein.arrays import Array, filled
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.kernels import respond_gain, respond_inverse_play, step_decoupled, step_gain
@@ -87,11 +87,8 @@ class NoCompensationLaw(Law[Memory]):
         return Memory()
 
     def _respond(self, reference_um: Array, start: Memory) -> tuple[Array, Memory]:
-        drive = np.empty((self.n_inputs, reference_um.shape[1]))
-        law = (self.gain_v_per_um, self.base_v, *self.range.counted)
-        for first, stop in spans(reference_um.shape[1]):
-            respond_gain(reference_um, *law, first, stop, drive)
-        return drive, start
+        law, shape = (self.gain_v_per_um, self.base_v), (self.n_inputs, reference_um.shape[1])
+        return filled(respond_gain, reference_um, *law, *self.range.counted, shape=shape), start
 
 
 class NoCompensation(Compensator):
@@ -205,9 +202,8 @@ class DecoupledInverseLaw(Law[InverseState]):
     def _respond(self, reference_um: Array, start: InverseState) -> tuple[Array, InverseState]:
         v, plays = self.inverse.respond(self._from_rest(reference_um), start.plays)
         last, direction = start.last_v.copy(), start.direction.copy()
-        drive = np.empty_like(v)
-        for first, stop in spans(v.shape[1]):
-            respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, first, stop, drive)
+        law = (self.jump_v, *self.range.counted, last, direction)
+        drive = filled(respond_inverse_play, v, *law, shape=(len(v), v.shape[1]))
         return drive, InverseState(plays, last, direction)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
-from hammerstein.arrays import Array, spans
+from hammerstein.arrays import Array, filled
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
@@ -198,12 +198,11 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         """Run the same loop over the samples, compiled."""
         plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
         assert isinstance(plays, PlayState)
-        drive, b, axes = np.empty_like(wanted_um), hysteresis.bank, self._axes
         law = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
-        stack = (plays.count, plays.end, plays.x, plays.d, plays.below)
-        bank = (b.r, b.slope, b.moment)
-        for first, stop in spans(wanted_um.shape[1], 64 * self.iterations):
-            respond_inverse_multiplicative(wanted_um, axes, law, bank, stack, memory, first, stop, drive)
+        stack, b = (plays.count, plays.end, plays.x, plays.d, plays.below), hysteresis.bank
+        given = (wanted_um, self._axes, law, (b.r, b.slope, b.moment), stack, memory)
+        shape = (self.n_inputs, wanted_um.shape[1])
+        drive = filled(respond_inverse_multiplicative, *given, shape=shape, products=64 * self.iterations)
         return drive, FeedbackState(plays, memory)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, frozen, spans
+from hammerstein.arrays import Array, filled, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
@@ -218,10 +218,9 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         from hammerstein.hysteresis.bouc_wen_kernels import respond_bouc_wen
 
         refuse_not_finite(u_v)
-        y, state = np.empty((self.n_outputs, u_v.shape[1])), start.copy()
-        for first, stop in spans(u_v.shape[1], 64 * self.n_inputs * self.n_outputs):
-            respond_bouc_wen(u_v, *self.bank, state.z_v, state.last_v, first, stop, y)
-        return y, state
+        state, shape, products = start.copy(), (self.n_outputs, u_v.shape[1]), 64 * self.bank[0].size
+        given = (u_v, *self.bank, state.z_v, state.last_v)
+        return filled(respond_bouc_wen, *given, shape=shape, products=products), state
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops (output, input) [um] from tip to tip: d A - a z."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, Flags, Indices, freeze, freeze_fields, frozen, spans
+from hammerstein.arrays import Array, Flags, Indices, filled, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import Mistake, refuse
 from hammerstein.hysteresis.describing_function import Describable
@@ -89,10 +89,9 @@ class Planes(NamedTuple):
         """Outputs (p, N) for voltages (m, N) relative to the working point, and the memory after them."""
         from hammerstein.hysteresis.preisach_kernels import respond_preisach
 
-        own, y = start.copy(), np.empty((self.node.shape[3], u_v.shape[1]))
-        for first, stop in spans(u_v.shape[1], 8 * len(u_v) * len(y)):
-            respond_preisach(u_v, *self, own.count, own.x, own.tip, own.last, first, stop, y)
-        return y, own
+        own, shape = start.copy(), (self.node.shape[3], u_v.shape[1])
+        given = (u_v, *self, own.count, own.x, own.tip, own.last)
+        return filled(respond_preisach, *given, shape=shape, products=8 * len(u_v) * shape[0]), own
 
     def fresh(self, home_v: Array) -> PreisachState:
         """Memory of an actuator that was never driven and stands at voltages (m,), as they are sent [V].

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen, spans
+from hammerstein.arrays import Array, ByValue, Indices, filled, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake, refuse
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
@@ -231,12 +231,10 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
 
         refuse_not_finite(u_v)
-        bank, y = self.bank, np.empty((self.n_outputs, u_v.shape[1]))
-        state = start.copy()
-        memory = (state.plays_v, state.last_v, state.rate_v_per_s)
-        for first, stop in spans(u_v.shape[1], 8 * bank.w.size):
-            respond_rate_dependent(u_v, self.grid_s, self.poles, *bank, *memory, first, stop, y)
-        return y, state
+        bank, state = self.bank, start.copy()
+        memory, shape = (state.plays_v, state.last_v, state.rate_v_per_s), (self.n_outputs, u_v.shape[1])
+        given = (u_v, self.grid_s, self.poles, *bank, *memory)
+        return filled(respond_rate_dependent, *given, shape=shape, products=8 * bank.w.size), state
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops driven slowly (output, input) [um], in closed form."""

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from hammerstein.arrays import Array, spans
+from hammerstein.arrays import Array, filled
 from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.law import Law, S
@@ -158,13 +158,12 @@ class ZonesInverse(StaticInverse[DriveState]):
         self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, DriveState, Array]:
         """See ``StaticInverse.solve``."""
-        drive, left, state = np.empty((self.n_inputs, v_um.shape[1])), away.copy(), start.model.copy()
+        left, state, wanted = away.copy(), start.model.copy(), np.ascontiguousarray(v_um)
         back, (w, here) = recovery or Recovery.none(self.n_outputs), self.design_tables()
         w["x"][:, 0] = start.drive_v
         loop, work, own = self._loop(state)
-        wanted = np.ascontiguousarray(v_um)
-        for first, stop in spans(wanted.shape[1], work):
-            loop(wanted, *back, left, w, here, *own, first, stop, drive)
+        given, shape = (wanted, *back, left, w, here, *own), (self.n_inputs, wanted.shape[1])
+        drive = filled(loop, *given, shape=shape, products=work)
         return drive, DriveState(state, w["x"][:, 0].copy()), left
 
 
@@ -295,10 +294,9 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
 
         p, v_um = self.n_outputs, np.ascontiguousarray(v_um)  # of one type: it is compiled once
-        drive, back = np.empty((self.n_inputs, v_um.shape[1])), recovery or Recovery.none(p)
         left, (w, here) = away.copy(), loaded(*self._design, start.stack, start.hand)
-        for first, end in spans(v_um.shape[1]):
-            respond_exact(v_um, self.n_inputs - p, *back, left, w, here, first, end, drive)
+        given = (v_um, self.n_inputs - p, *(recovery or Recovery.none(p)), left, w, here)
+        drive = filled(respond_exact, *given, shape=(self.n_inputs, v_um.shape[1]))
         after = ExactState(np.empty(start.stack.shape), np.empty(start.hand.shape))
         unloaded(w, here, after.stack, after.hand)
         return drive, after, left

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hammerstein.arrays import Array, Complex, Indices, spans, transfer
+from hammerstein.arrays import Array, Complex, Indices, filled, transfer
 from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.quantities import interval, number_of
@@ -44,10 +44,8 @@ def filtered_by(taps: Array, raw: Array) -> Array:
     if len(taps) == 1:
         return raw
     raw = np.ascontiguousarray(raw)
-    out = np.empty((raw.shape[0], raw.shape[1] - len(taps) + 1))
-    for first, stop in spans(out.shape[1], taps.size * len(out)):
-        filtered(taps, raw, first, stop, out)
-    return out
+    shape = (raw.shape[0], raw.shape[1] - len(taps) + 1)
+    return filled(filtered, taps, raw, shape=shape, products=taps.size * len(raw))
 
 
 TAIL = 1e-8
@@ -104,11 +102,9 @@ class LinearInverse:
         from hammerstein.compensators.preview.preview_kernel import run_inverse
 
         known = np.ascontiguousarray(known)
-        v = np.empty((len(known), known.shape[1] - self.reach_samples))
-        inside = (self.A, self.B, self.C, self.taps, self.ahead, modes)
-        for first, stop in spans(v.shape[1], self.A.size + self.taps.size):
-            run_inverse(*inside, known, first, stop, v)
-        return v
+        given = (self.A, self.B, self.C, self.taps, self.ahead, modes, known)
+        shape = (len(known), known.shape[1] - self.reach_samples)
+        return filled(run_inverse, *given, shape=shape, products=self.A.size + self.taps.size)
 
     def response(self, frequency_hz: Array) -> Complex:
         """Frequency response (frequency, p, p) from y to v, preview taken off and input delay left out."""
