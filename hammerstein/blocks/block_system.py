@@ -1,6 +1,6 @@
 """As python-control has them: any block that moves sample by sample, and signals over time."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
@@ -128,7 +128,7 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
     Parameters
     ----------
     block : the block
-    inputs, outputs : names of the signals
+    inputs, outputs : wires, and how many signals each has
     sample_time_s : time between samples [s]
     name : name of the system
     """
@@ -136,8 +136,8 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
     def __init__(
         self,
         block: Stepwise[Any],
-        inputs: Sequence[str],
-        outputs: Sequence[str],
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, int],
         sample_time_s: float,
         name: str,
     ):
@@ -154,8 +154,8 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
         super().__init__(
             lambda t, x, u, params: both(x, u)[1].copy(),
             lambda t, x, u, params: both(x, u)[0].copy(),
-            inputs=list(inputs),
-            outputs=list(outputs),
+            inputs=[label for wire, count in inputs.items() for label in signals(wire, count)],
+            outputs=[label for wire, count in outputs.items() for label in signals(wire, count)],
             states=self._packing.length,
             dt=sample_time_s,
             name=name,

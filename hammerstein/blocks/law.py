@@ -213,11 +213,11 @@ class Law(WithMemory[S]):
 
         Raises InputError for another sample time than the law was designed for.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise
 
         require_grid(self.sample_time_s, sample_time_s, "compensator")
         block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)
-        wires = signals("reference_um", self.n_outputs), signals("requested_v", self.n_inputs)
+        wires = {"reference_um": self.n_outputs}, {"requested_v": self.n_inputs}
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
