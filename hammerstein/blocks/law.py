@@ -173,10 +173,8 @@ class Law(WithMemory[S]):
 
     def _frame_of_steps(self) -> Array:
         """Where a step counts from (4, m): origin [um], working point, lowest and highest voltage [V]."""
-        limits, origin = self.range, np.zeros(max(self.n_inputs, self.n_outputs))
-        origin[: self.n_outputs] = self.origin_um
-        rows = np.zeros((4, len(origin)))
-        rows[0] = origin
+        limits, rows = self.range, np.zeros((4, max(self.n_inputs, self.n_outputs)))
+        rows[0, : self.n_outputs] = self.origin_um
         rows[1:, : self.n_inputs] = limits.working_point_v, limits.low_v, limits.high_v
         return rows
 

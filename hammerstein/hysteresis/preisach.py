@@ -163,6 +163,9 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
 
     kind: ClassVar[str] = "preisach"
     wipes_out: ClassVar[bool] = True
+    n_beside_weights: ClassVar[int] = 0  # the planes are those of the records
+    # the records determine sums of cells, and the smoothness distributes them
+    weight_covariance = None
 
     def __post_init__(self) -> None:
         freeze_fields(self, "low_v", "high_v")
@@ -192,11 +195,6 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
     def operators(self) -> tuple[tuple[int, ...], ...]:
         """Number of cells of every pair (output, input)."""
         return tuple(tuple(len(c) * (len(c) + 1) // 2 for c in row) for row in self.cells_um_per_v)
-
-    @property
-    def n_beside_weights(self) -> int:
-        """None: the planes are those of the records."""
-        return 0
 
     def describe(self) -> str:
         """Short description."""
@@ -253,11 +251,6 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
     def weights(self) -> tuple[Array, ...]:
         """Weights of each output, pair after pair, triangles row by row [um/V]."""
         return tuple(np.concatenate([c[np.tril_indices(len(c))] for c in row]) for row in self.cells_um_per_v)
-
-    @property
-    def weight_covariance(self) -> None:
-        """None: the records determine sums of cells, and the smoothness distributes them."""
-        return None
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
         """Return the same planes with other weights."""
