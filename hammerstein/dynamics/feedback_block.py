@@ -205,26 +205,27 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
         The input may come ``late_s`` late, less than a sample; see ``LinearBlock.held``.
         """
-        m, n = self.n_inputs, len(self.A)
-        own = self.hysteresis.on_grid(sample_time_s)
+        m, own = self.n_inputs, self.hysteresis.on_grid(sample_time_s)
+        here = replace(self, hysteresis=own, sample_time_s=sample_time_s)
         later = self._driven.held(sample_time_s - late_s)
         b, e = later.B[:, :m], later.B[:, m:]
         if not late_s:
-            return replace(self, A=later.A, B=b, E=e, hysteresis=own, sample_time_s=sample_time_s)
+            return replace(here, A=later.A, B=b, E=e)
         before = self._driven.held(late_s)
-        first, push = before.B[:, :m], before.B[:, m:]
-        return replace(
-            self,
-            A=np.block([[np.zeros((m, m + n))], [later.A @ first, later.A @ before.A]]),
-            B=np.vstack([np.eye(m), b]),
-            C=np.hstack([self.D, self.C]),
-            D=np.zeros_like(self.D),
-            E=np.vstack([np.zeros((m, e.shape[1])), later.A @ push + e]),
-            F=np.hstack([self.G, self.F]),
-            G=np.zeros_like(self.G),
-            hysteresis=own,
-            sample_time_s=sample_time_s,
-        )
+        first = LinearBlock(before.A, before.B[:, :m], *self._seen, late_s)
+        late = first.then(LinearBlock(later.A, b, *self._seen, sample_time_s), sample_time_s)
+        return here._around(late, np.vstack([np.zeros((m, e.shape[1])), later.A @ before.B[:, m:] + e]))
+
+    @property
+    def _seen(self) -> tuple[Array, Array]:
+        """C and D of y and z together."""
+        return np.vstack([self.C, self.F]), np.vstack([self.D, self.G])
+
+    def _around(self, late: LinearBlock, e: Array) -> FeedbackBlock:
+        """Return the same loop around a block whose outputs are y and z, which w enters by E."""
+        p = self.n_outputs
+        c, d = (late.C[:p], late.C[p:]), (late.D[:p], late.D[p:])
+        return replace(self, A=late.A, B=late.B, C=c[0], D=d[0], E=e, F=c[1], G=d[1])
 
     @property
     def _driven(self) -> LinearBlock:
@@ -245,13 +246,9 @@ class FeedbackBlock(SteppedBlock, ByValue):
         """Delay the input by whole samples (a shift register in front)."""
         if samples == 0:
             return self
-        p = self.n_outputs
-        seen = np.vstack([self.C, self.F]), np.vstack([self.D, self.G])
-        late = LinearBlock(self.A, self.B, *seen, self.sample_time_s).delayed(samples)
+        late = LinearBlock(self.A, self.B, *self._seen, self.sample_time_s).delayed(samples)
         more = len(late.A) - len(self.A)
-        e = np.vstack([np.zeros((more, self.E.shape[1])), self.E])
-        c, d = (late.C[:p], late.C[p:]), (late.D[:p], late.D[p:])
-        return replace(self, A=late.A, B=late.B, C=c[0], D=d[0], E=e, F=c[1], G=d[1])
+        return self._around(late, np.vstack([np.zeros((more, self.E.shape[1])), self.E]))
 
     def rest(self) -> Array:
         """State of a block that was never driven."""

@@ -96,6 +96,10 @@ class BoucWenPair:
             steepest = max(steepest, 2.0 * self.beta_per_v / self.load_per_v)
         return self.direct_um_per_v, self.direct_um_per_v - self.hysteretic_um_per_v * steepest
 
+    def amplitude(self, amplitude_v: float) -> float:
+        """Half height of the settled loop [um] from tip to tip: d A - a z."""
+        return self.direct_um_per_v * amplitude_v - self.hysteretic_um_per_v * self.tip_v(amplitude_v)
+
     def tip_v(self, amplitude_v: float) -> float:
         """Where z stands at the tip of the settled loop of an amplitude A [V].
 
@@ -225,14 +229,9 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops (output, input) [um] from tip to tip: d A - a z."""
         sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
+        each = sizes.tolist()
         return np.array(
-            [
-                [
-                    pair.direct_um_per_v * size - pair.hysteretic_um_per_v * pair.tip_v(size)
-                    for pair, size in zip(row, sizes.tolist(), strict=True)
-                ]
-                for row in self.pairs
-            ]
+            [[pair.amplitude(size) for pair, size in zip(row, each, strict=True)] for row in self.pairs]
         )
 
     def slope_columns(self, k: int) -> Array:

@@ -331,25 +331,17 @@ def _enumerated(
 ) -> Invertibility:
     """Examine all determinants one by one."""
     slopes = every_matrix([choices.slopes for choices in reached])
-    (positive, negative, singular), first = _counted_signs(slopes)
+    counts, first = _counted_signs(slopes)
     engaged: tuple[int, ...] = ()
     zones: list[tuple[float, float]] = []
-    if min(positive, negative) or singular:
+    if min(counts[:2]) or counts[2]:
         choice = np.unravel_index(first, [len(choices.engaged) for choices in reached])
         engaged = tuple(int(one.engaged[i]) for one, i in zip(reached, choice, strict=True))
         if square.lines.n.any():
             zones = [_ends_v(square, k, int(one.zone[choice[k]])) for k, one in enumerate(reached)]
     thresholds = tuple(float(square.plays.bank.r[k, n - 1] + smallest_v[k]) for k, n in enumerate(engaged))
-    return Invertibility(
-        positive,
-        negative,
-        singular,
-        engaged,
-        thresholds,
-        slopes[first, :n_outputs],
-        2.0 * smallest_v,
-        zones_v=tuple(zones),
-    )
+    place = (engaged, thresholds, slopes[first, :n_outputs])
+    return Invertibility(*counts, *place, 2.0 * smallest_v, zones_v=tuple(zones))
 
 
 def _counted_signs(slopes: Array) -> tuple[tuple[int, int, int], int]:
