@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -171,7 +172,8 @@ class Law(WithMemory[S]):
         drive, after = self.respond(sample.reshape(-1, 1), state)  # says what is wrong, where something is
         return drive[:, 0], after
 
-    def _frame_of_steps(self) -> Array:
+    @cached_property
+    def _frame(self) -> Array:
         """Where a step counts from (4, m): origin [um], working point, lowest and highest voltage [V]."""
         limits, rows = self.range, np.zeros((4, max(self.n_inputs, self.n_outputs)))
         rows[0, : self.n_outputs] = self.origin_um

@@ -75,7 +75,6 @@ class NoCompensationLaw(Law[Memory]):
         self.range = DriveRange.of(range_v, model)
         self.origin_um = np.zeros(self.n_outputs)
         self.base_v = self.range.start_v - self.range.working_point_v
-        self._frame = self._frame_of_steps()
         self._limits = np.stack([self.base_v, *self.range.counted])
 
     def _step(self, sample_um: Array, state: Memory) -> tuple[Array, Memory] | None:
@@ -171,7 +170,7 @@ class DecoupledInverseLaw(Law[InverseState]):
         self._start, self.origin_um = self._at_start(hysteresis)
         limits, b = np.stack([self.jump_v, *self.range.counted]), self.inverse.bank
         plays = (b.r, b.guide, b.scale, b.n, b.lines, b.w)
-        self._of_steps = (self._frame_of_steps(), limits, *plays, (0,) * self.n_outputs)
+        self._of_steps = (self._frame, limits, *plays, (0,) * self.n_outputs)
 
     def _step(self, sample_um: Array, state: InverseState) -> tuple[Array, InverseState] | None:
         plays = state.plays

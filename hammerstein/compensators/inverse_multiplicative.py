@@ -130,7 +130,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
 
         self._start, self.origin_um = self._at_start()
-        self._frame, self._limits = self._frame_of_steps(), np.stack(self.range.counted)
+        self._limits = np.stack(self.range.counted)
         self._axes = (0.0,) * self.n_inputs
 
     def _step(self, sample_um: Array, state: FeedbackState) -> tuple[Array, FeedbackState] | None:
@@ -174,10 +174,16 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         return self._start
 
     def _respond(self, reference_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
-        wanted_um = self._from_rest(reference_um)
-        if isinstance(self.hysteresis, PrandtlIshlinskii):
-            return self._compiled(self.hysteresis, wanted_um, start)
-        return self._stepwise(wanted_um, start)
+        wanted_um, hysteresis = self._from_rest(reference_um), self.hysteresis
+        plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
+        if not isinstance(hysteresis, PrandtlIshlinskii) or not isinstance(plays, PlayState):
+            return self._stepwise(wanted_um, start)
+        law = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
+        stack, b = (plays.count, plays.end, plays.x, plays.d, plays.below), hysteresis.bank
+        given = (wanted_um, self._axes, law, (b.r, b.slope, b.moment), stack, memory)
+        shape = (self.n_inputs, wanted_um.shape[1])
+        drive = filled(respond_inverse_multiplicative, *given, shape=shape, products=64 * self.iterations)
+        return drive, FeedbackState(plays, memory)
 
     def _stepwise(self, wanted_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
         """Run the loop over the samples around a block of any kind."""
@@ -190,19 +196,6 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
                 v, plays = self.hysteresis.step(u, plays if self.hysteresis.wipes_out else begun)
                 feed_back(self.gain_v_per_um, self.pole, u, v, memory)
             drive[:, t] = u
-        return drive, FeedbackState(plays, memory)
-
-    def _compiled(
-        self, hysteresis: PrandtlIshlinskii, wanted_um: Array, start: FeedbackState
-    ) -> tuple[Array, FeedbackState]:
-        """Run the same loop over the samples, compiled."""
-        plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
-        assert isinstance(plays, PlayState)
-        law = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
-        stack, b = (plays.count, plays.end, plays.x, plays.d, plays.below), hysteresis.bank
-        given = (wanted_um, self._axes, law, (b.r, b.slope, b.moment), stack, memory)
-        shape = (self.n_inputs, wanted_um.shape[1])
-        drive = filled(respond_inverse_multiplicative, *given, shape=shape, products=64 * self.iterations)
         return drive, FeedbackState(plays, memory)
 
 

@@ -229,7 +229,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         self._design = self._new_design()
         self._start, self.origin_um = self._at_start()
-        self._frame = self._frame_of_steps()
 
     @cached_property
     def _compiled_step(self) -> Any:

@@ -10,6 +10,7 @@ from hammerstein.arrays import Array, Complex, Indices, filled, transfer
 from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.quantities import interval, number_of
+from hammerstein.records.checks import runs
 
 LONGEST_FILTER = 100_000
 """Taps; two seconds of a path at 50 kHz."""
@@ -118,10 +119,7 @@ class LinearInverse:
         grid = np.linspace(0.0, 0.5 / self.block.sample_time_s, 4001)[1:-1]
         gain = np.linalg.norm(np.linalg.inv(self.block.response(grid)), ord=2, axis=(1, 2))
         still = np.linalg.norm(np.linalg.inv(self.block.response(0.0))[0], ord=2)
-        large = np.concatenate([[False], gain > LARGE_GAIN * still, [False]])
-        edges = np.flatnonzero(np.diff(large.astype(int)))
-        bands = zip(edges[::2], edges[1::2], strict=True)
-        return tuple((float(grid[a]), float(grid[b - 1])) for a, b in bands)
+        return tuple((float(grid[a]), float(grid[b])) for a, b in runs(gain > LARGE_GAIN * still))
 
     def statement(self) -> str:
         """Say how far ahead it looks, and at which frequencies it asks for much drive."""
