@@ -42,15 +42,10 @@ def matrices_of(system: Any) -> Matrices:
         np.asarray(np.reshape(matrix, shape), dtype=np.float64)
         for matrix, shape in zip((space.A, space.B, space.C, space.D), shapes, strict=True)
     )
-    return a, b, c, d, _sample_time(system)
-
-
-def _sample_time(system: Any) -> float | None:
-    if not system.isdtime(strict=True):
-        return None
-    if system.dt is True:
+    discrete = system.isdtime(strict=True)
+    if discrete and system.dt is True:
         raise InputError("linear system", "is discrete without a sample time; set its dt in s")
-    return float(system.dt)
+    return a, b, c, d, float(system.dt) if discrete else None
 
 
 def _realised(system: control.TransferFunction) -> control.StateSpace:

@@ -16,6 +16,7 @@ from pydantic import Field
 from hammerstein.arrays import Array, filled, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake, refuse
+from hammerstein.hysteresis.bouc_wen_kernels import lagging, respond_bouc_wen
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
@@ -219,8 +220,6 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         return self.respond(path_v, BoucWenState(self.rest().z_v, path_v[:, 0].copy()))[1]
 
     def _respond(self, u_v: Array, start: BoucWenState) -> tuple[Array, BoucWenState]:
-        from hammerstein.hysteresis.bouc_wen_kernels import respond_bouc_wen
-
         refuse_not_finite(u_v)
         state, shape, products = start.copy(), (self.n_outputs, u_v.shape[1]), 64 * self.bank[0].size
         given = (u_v, *self.bank, state.z_v, state.last_v)
@@ -297,8 +296,6 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
 
     def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
         """Voltage and -z of each input; see ``Identifiable``."""
-        from hammerstein.hysteresis.bouc_wen_kernels import lagging
-
         values, held = np.empty((2 * self.n_inputs, u_v.shape[1])), np.empty(2 * self.n_inputs)
         for k, pair in enumerate(self.pairs[output]):
             rates, u, turns = (pair.load_per_v, pair.unload_per_v), u_v[k], before_v[k].copy()

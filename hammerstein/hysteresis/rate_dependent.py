@@ -25,6 +25,7 @@ from hammerstein.hysteresis.kind import (
     refuse_not_finite,
 )
 from hammerstein.hysteresis.pair import WeightCovariance, played
+from hammerstein.hysteresis.rate_dependent_kernels import play_outputs, respond_rate_dependent
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)
@@ -228,8 +229,6 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
 
     def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
-        from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
-
         refuse_not_finite(u_v)
         bank, state = self.bank, start.copy()
         memory, shape = (state.plays_v, state.last_v, state.rate_v_per_s), (self.n_outputs, u_v.shape[1])
@@ -313,8 +312,6 @@ class RateDependent(Hysteresis[RateState], Identifiable):
 
     def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
         """Outputs of the plays; see ``Identifiable``."""
-        from hammerstein.hysteresis.rate_dependent_kernels import play_outputs
-
         stood, values = self.after(before_v), []
         for k, plays in enumerate(self.inputs):
             n = len(plays.thresholds_v)

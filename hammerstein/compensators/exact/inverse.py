@@ -17,6 +17,7 @@ from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.law import Law, S
 from hammerstein.compensators.base import Compensator
+from hammerstein.compensators.exact import piece_kernels as at
 from hammerstein.dynamics import linear
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, play
@@ -62,8 +63,6 @@ class Tables(NamedTuple):
 
 def tables(m: int, rows: int) -> Tables:
     """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
-    from hammerstein.compensators.exact import piece_kernels as at
-
     return Tables(np.zeros((m, rows), at.of_rows(m)), np.zeros(m, at.of_inputs(m)))
 
 
@@ -264,8 +263,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         The stacks of segments are those of the forward model behind the smallest plays: for an actuator that
         was never driven one segment an input, nothing engaged. What has no output keeps its value.
         """
-        from hammerstein.compensators.exact import piece_kernels as at
-
         m, history = self.n_inputs, self.range.history()
         q = np.stack([play(u, [r])[0] for u, r in zip(history, self.smallest_v, strict=True)])
         rows, memory = self.square.respond(q) if q.any() else (np.zeros((m, 1)), self.square.rest())
