@@ -20,8 +20,8 @@ from hammerstein.hysteresis.bouc_wen_kernels import lagging, respond_bouc_wen
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
-    Hysteresis,
     HysteresisFile,
+    OfPairs,
     PartFile,
     refuse_not_finite,
 )
@@ -134,7 +134,7 @@ class BoucWenState(Memory):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BoucWen(Hysteresis[BoucWenState], Identifiable):
+class BoucWen(OfPairs[BoucWenState], Identifiable):
     """Bouc-Wen hysteresis with exponent 1; each of p outputs is a sum over m inputs.
 
         v_l = sum over inputs k of  d_lk u_k - a_lk z_lk
@@ -224,14 +224,6 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         state, shape, products = start.copy(), (self.n_outputs, u_v.shape[1]), 64 * self.bank[0].size
         given = (u_v, *self.bank, state.z_v, state.last_v)
         return filled(respond_bouc_wen, *given, shape=shape, products=products), state
-
-    def amplitude(self, amplitude_v: ArrayLike) -> Array:
-        """Half heights of the settled loops (output, input) [um] from tip to tip: d A - a z."""
-        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
-        each = sizes.tolist()
-        return np.array(
-            [[pair.amplitude(size) for pair, size in zip(row, each, strict=True)] for row in self.pairs]
-        )
 
     def slope_columns(self, k: int) -> Array:
         """Ends of the slopes of input k (number, output) [um/V], in all combinations; d comes last.

@@ -272,6 +272,20 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
+class OfPairs(Hysteresis[S]):
+    """Hysteresis of pairs (output, input), each of which knows its own settled loop."""
+
+    if TYPE_CHECKING:  # a field of both kinds
+        pairs: tuple[tuple[Any, ...], ...]
+
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights of the settled loops (output, input) [um], in closed form."""
+        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs).tolist()
+        return np.array(
+            [[pair.amplitude(size) for pair, size in zip(row, sizes, strict=True)] for row in self.pairs]
+        )
+
+
 @runtime_checkable
 class Sloped(Protocol):
     """Ability of a kind whose outputs move on lines: the slopes of an input.

@@ -24,8 +24,8 @@ from hammerstein.hysteresis.identifiable import (
 )
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
-    Hysteresis,
     HysteresisFile,
+    OfPairs,
     PairFile,
     refuse_not_finite,
 )
@@ -42,7 +42,7 @@ from hammerstein.hysteresis.pair import (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable, Describable):
+class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
     """Rate-independent hysteresis of m inputs and p outputs; each output responds to each input.
 
         v_l[k] = sum over inputs j and operators i of  w_lji  play(u_j; r_lji)[k]      (paper, eq. 4)
@@ -189,13 +189,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable, Describable):
             if respond_turning_points(u_v, *bank, *stack, *here, v_um, (0,) * self.n_outputs) < here[1]:
                 refuse_not_finite(u_v)
         return s
-
-    def amplitude(self, amplitude_v: ArrayLike) -> Array:
-        """Half heights of the settled loops (output, input) [um], in closed form."""
-        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
-        return np.array(
-            [[pair.amplitude(size) for pair, size in zip(row, sizes, strict=True)] for row in self.pairs]
-        )
 
     def slope_columns(self, k: int) -> Array:
         """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""
