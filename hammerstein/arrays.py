@@ -1,6 +1,6 @@
 """Array types, read-only arrays, and the parts in which loops work through signals."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -46,6 +46,12 @@ def rows_of(signals: ArrayLike) -> Array:
 def times(matrix: Array, signals: Array) -> Array:
     """Product of a matrix (q, h) and signals (h,) or (h, sample), each sample to the same last bit alone."""
     return np.asarray((matrix.reshape(*matrix.shape, *[1] * (signals.ndim - 1)) * signals).sum(axis=1))
+
+
+def transfer(A: Array, B: Array, C: Array, D: Array | Complex, z: Complex) -> Complex:
+    """C (z I - A)^-1 B + D (point, output, input) at points z (point,)."""
+    states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape)))
+    return np.asarray(C @ states + D)
 
 
 class ByValue:
@@ -128,3 +134,14 @@ def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
     length = max(1, SPAN // max(products, LEAST))
     for first in range(0, samples, length):
         yield first, min(first + length, samples)
+
+
+def filled(loop: Callable[..., object], *given: Any, shape: tuple[int, int], products: int = LEAST) -> Array:
+    """Array (row, sample) that a compiled loop fills in ``spans``.
+
+    loop : takes what is given, first sample and end of a part, and the array
+    """
+    rows = np.empty(shape)
+    for first, stop in spans(shape[1], products):
+        loop(*given, first, stop, rows)
+    return rows

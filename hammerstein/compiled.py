@@ -20,6 +20,7 @@ from typing import Any
 
 import filelock
 import numba
+import numpy as np
 from numba.core import event as numba_events
 from numba.core.errors import NumbaError
 from numba.extending import register_jitable
@@ -30,6 +31,9 @@ config: Any = numba.config  # numba has no types
 event: Any = numba_events
 
 Loop = Callable[..., Any]
+
+at = np.uint64
+"""An index of unsigned type is not tested for Python's counting from the end; none of a loop is negative."""
 
 LEAN: dict[str, Any] = {"no_cfunc_wrapper": True}
 """Nothing is made for C to call."""

@@ -128,7 +128,7 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
     Parameters
     ----------
     block : the block
-    inputs, outputs : names of the signals
+    inputs, outputs : wires, and how many signals each has
     sample_time_s : time between samples [s]
     name : name of the system
     """
@@ -136,8 +136,8 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
     def __init__(
         self,
         block: Stepwise[Any],
-        inputs: Sequence[str],
-        outputs: Sequence[str],
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, int],
         sample_time_s: float,
         name: str,
     ):
@@ -154,8 +154,8 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
         super().__init__(
             lambda t, x, u, params: both(x, u)[1].copy(),
             lambda t, x, u, params: both(x, u)[0].copy(),
-            inputs=list(inputs),
-            outputs=list(outputs),
+            inputs=[label for wire, count in inputs.items() for label in signals(wire, count)],
+            outputs=[label for wire, count in outputs.items() for label in signals(wire, count)],
             states=self._packing.length,
             dt=sample_time_s,
             name=name,
@@ -177,22 +177,6 @@ def signals(wire: str, count: int) -> list[str]:
     ['requested_v[0]', 'requested_v[1]']
     """
     return [f"{wire}[{i}]" for i in range(count)]
-
-
-def time_response(
-    time_s: Array, outputs: Mapping[str, Array], inputs: Mapping[str, Array], title: str = "Response"
-) -> control.TimeResponseData:
-    """Signals (sample,) by name as one trace."""
-    return control.TimeResponseData(
-        time_s,
-        np.array(list(outputs.values())),
-        inputs=np.array(list(inputs.values())),
-        output_labels=list(outputs),
-        input_labels=list(inputs),
-        issiso=False,
-        title=title,
-        sysname="actuator",
-    )
 
 
 def traces_of(

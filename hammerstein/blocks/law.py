@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -171,12 +172,11 @@ class Law(WithMemory[S]):
         drive, after = self.respond(sample.reshape(-1, 1), state)  # says what is wrong, where something is
         return drive[:, 0], after
 
-    def _frame_of_steps(self) -> Array:
+    @cached_property
+    def _frame(self) -> Array:
         """Where a step counts from (4, m): origin [um], working point, lowest and highest voltage [V]."""
-        limits, origin = self.range, np.zeros(max(self.n_inputs, self.n_outputs))
-        origin[: self.n_outputs] = self.origin_um
-        rows = np.zeros((4, len(origin)))
-        rows[0] = origin
+        limits, rows = self.range, np.zeros((4, max(self.n_inputs, self.n_outputs)))
+        rows[0, : self.n_outputs] = self.origin_um
         rows[1:, : self.n_inputs] = limits.working_point_v, limits.low_v, limits.high_v
         return rows
 
@@ -213,11 +213,11 @@ class Law(WithMemory[S]):
 
         Raises InputError for another sample time than the law was designed for.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise
 
         require_grid(self.sample_time_s, sample_time_s, "compensator")
         block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)
-        wires = signals("reference_um", self.n_outputs), signals("requested_v", self.n_inputs)
+        wires = {"reference_um": self.n_outputs}, {"requested_v": self.n_inputs}
         return BlockSystem(block, *wires, sample_time_s, name)
 
 

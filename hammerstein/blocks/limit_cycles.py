@@ -9,7 +9,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, Complex
+from hammerstein.arrays import Array, Complex, transfer
 from hammerstein.errors import InputError
 
 Matrices = tuple[Array, Array, Array, Array, float | None]
@@ -42,15 +42,10 @@ def matrices_of(system: Any) -> Matrices:
         np.asarray(np.reshape(matrix, shape), dtype=np.float64)
         for matrix, shape in zip((space.A, space.B, space.C, space.D), shapes, strict=True)
     )
-    return a, b, c, d, _sample_time(system)
-
-
-def _sample_time(system: Any) -> float | None:
-    if not system.isdtime(strict=True):
-        return None
-    if system.dt is True:
+    discrete = system.isdtime(strict=True)
+    if discrete and system.dt is True:
         raise InputError("linear system", "is discrete without a sample time; set its dt in s")
-    return float(system.dt)
+    return a, b, c, d, float(system.dt) if discrete else None
 
 
 def _realised(system: control.TransferFunction) -> control.StateSpace:
@@ -244,9 +239,7 @@ class _Loop:
     def response(self, s: Complex) -> Complex:
         """H(s) for an array of s."""
         z = s if self.sample_time_s is None else np.exp(s * self.sample_time_s)
-        inside = z[:, None, None] * np.eye(len(self.A)) - self.A
-        states = np.linalg.solve(inside, np.broadcast_to(self.B, (len(z), *self.B.shape)).astype(complex))
-        return np.asarray((self.C @ states + self.D)[:, 0, 0])
+        return transfer(self.A, self.B, self.C, self.D, z)[:, 0, 0]
 
     def balance(self, amplitude: float, s: complex) -> complex:
         """1 + N(A) H(s)."""

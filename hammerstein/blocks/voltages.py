@@ -58,8 +58,7 @@ class Voltages(Strict):
         >>> Voltages.of([0.0, 0.0], [-20.0, -50.0], [120.0, 50.0]).poling
         ('positive', 'both')
         """
-        names = ("working_point_v", "lowest_v", "highest_v")
-        given = dict(zip(names, (working_point_v, lowest_v, highest_v), strict=True))
+        given = {"working_point_v": working_point_v, "lowest_v": lowest_v, "highest_v": highest_v}
         values = {name: tuple(np.asarray(v, dtype=np.float64).tolist()) for name, v in given.items()}
         return cls(**values, poling=tuple(map(_poling, values["lowest_v"], values["highest_v"])))
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from hammerstein.arrays import Array, spans
+from hammerstein.arrays import Array, filled
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
+from hammerstein.compensators.kernels import respond_gain, respond_inverse_play, step_decoupled, step_gain
 from hammerstein.dynamics import linear
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PlayState, PrandtlIshlinskii
@@ -75,17 +75,10 @@ class NoCompensationLaw(Law[Memory]):
         self.range = DriveRange.of(range_v, model)
         self.origin_um = np.zeros(self.n_outputs)
         self.base_v = self.range.start_v - self.range.working_point_v
-        self._frame = self._frame_of_steps()
         self._limits = np.stack([self.base_v, *self.range.counted])
 
-    @cached_property
-    def _compiled_step(self) -> Any:
-        from hammerstein.compensators.kernels import step_gain  # looked up once: a step is short
-
-        return step_gain
-
     def _step(self, sample_um: Array, state: Memory) -> tuple[Array, Memory] | None:
-        drive, sound = self._compiled_step(sample_um, self._frame, self.gain_v_per_um, self._limits)
+        drive, sound = step_gain(sample_um, self._frame, self.gain_v_per_um, self._limits)
         return (drive, state) if sound else None
 
     def rest(self) -> Memory:
@@ -93,13 +86,8 @@ class NoCompensationLaw(Law[Memory]):
         return Memory()
 
     def _respond(self, reference_um: Array, start: Memory) -> tuple[Array, Memory]:
-        from hammerstein.compensators.kernels import respond_gain
-
-        drive = np.empty((self.n_inputs, reference_um.shape[1]))
-        law = (self.gain_v_per_um, self.base_v, *self.range.counted)
-        for first, stop in spans(reference_um.shape[1]):
-            respond_gain(reference_um, *law, first, stop, drive)
-        return drive, start
+        law, shape = (self.gain_v_per_um, self.base_v), (self.n_inputs, reference_um.shape[1])
+        return filled(respond_gain, reference_um, *law, *self.range.counted, shape=shape), start
 
 
 class NoCompensation(Compensator):
@@ -180,25 +168,15 @@ class DecoupledInverseLaw(Law[InverseState]):
             self.jump_v[k] = smallest
         self.inverse = _alone(inverses)
         self._start, self.origin_um = self._at_start(hysteresis)
-        self._frame = self._frame_of_steps()
-        self._limits = np.stack([self.jump_v, *self.range.counted])
-
-    @cached_property
-    def _compiled_step(self) -> Any:
-        """What is compiled, and what of the design it wants: looked up once, for a step is short."""
-        from hammerstein.compensators.kernels import step_decoupled
-
-        b = self.inverse.bank
-        return step_decoupled, (
-            *(self._frame, self._limits, b.r, b.guide, b.scale, b.n, b.lines, b.w),
-            (0,) * self.n_outputs,
-        )
+        limits, b = np.stack([self.jump_v, *self.range.counted]), self.inverse.bank
+        plays = (b.r, b.guide, b.scale, b.n, b.lines, b.w)
+        self._of_steps = (self._frame, limits, *plays, (0,) * self.n_outputs)
 
     def _step(self, sample_um: Array, state: InverseState) -> tuple[Array, InverseState] | None:
-        step, design = self._compiled_step
         plays = state.plays
         stack = (plays.count, plays.end, plays.x, plays.d, plays.below, plays.window)
-        drive, stack, last, direction, sound = step(sample_um, *design, *stack, state.last_v, state.direction)
+        memory = (*stack, state.last_v, state.direction)
+        drive, stack, last, direction, sound = step_decoupled(sample_um, *self._of_steps, *memory)
         return (drive, InverseState(PlayState(*stack), last, direction)) if sound else None
 
     def _at_start(self, hysteresis: PrandtlIshlinskii) -> tuple[InverseState, Array]:
@@ -221,13 +199,10 @@ class DecoupledInverseLaw(Law[InverseState]):
         return self._start
 
     def _respond(self, reference_um: Array, start: InverseState) -> tuple[Array, InverseState]:
-        from hammerstein.compensators.kernels import respond_inverse_play
-
         v, plays = self.inverse.respond(self._from_rest(reference_um), start.plays)
         last, direction = start.last_v.copy(), start.direction.copy()
-        drive = np.empty_like(v)
-        for first, stop in spans(v.shape[1]):
-            respond_inverse_play(v, self.jump_v, *self.range.counted, last, direction, first, stop, drive)
+        law = (self.jump_v, *self.range.counted, last, direction)
+        drive = filled(respond_inverse_play, v, *law, shape=(len(v), v.shape[1]))
         return drive, InverseState(plays, last, direction)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Law, checked_reference
+from hammerstein.blocks import checked_reference
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.added_motion import approached, lead_in
 from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, Missed, Prediction, compensator_of
@@ -45,10 +45,12 @@ EARLIER = " Earlier motion shifts the position; less so after both ends of the r
 
 
 @dataclass(frozen=True, eq=False)
-class Compensation:
+class Compensation(Attempt):
     """Drive for real hardware, and what the model predicts for it.
 
-    attempt : the law, the reference with its lead-in, the drive, and what the model predicts
+    law : the law that gave the drive
+    reference_um : path (output, sample), its lead-in included, counted from the start [um]
+    drive_v : voltages (input, sample) as they are sent: absolute, on the converter's steps, in the range
     prediction : parts of the error
     reach : what slow paths can reach
     time_s : (sample,) on the drive's sample time; the path begins at its own time, a lead-in before it
@@ -59,7 +61,6 @@ class Compensation:
     """
 
     model: HammersteinModel
-    attempt: Attempt
     prediction: Prediction
     reach: Reach
     time_s: Array
@@ -69,24 +70,9 @@ class Compensation:
     approach: str = ""
 
     @property
-    def law(self) -> Law[Any]:
-        """The law that gave the drive."""
-        return self.attempt.law
-
-    @property
-    def reference_um(self) -> Array:
-        """Path (output, sample), its lead-in included, counted from the start [um]."""
-        return self.attempt.reference_um
-
-    @property
-    def drive_v(self) -> Array:
-        """Voltages (input, sample) as they are sent: absolute, on the converter's steps, in the range."""
-        return self.attempt.drive_v
-
-    @property
     def shortfall(self) -> Shortfall:
         """Predicted position and error, and samples with the voltage at its range."""
-        return self.attempt.predicted
+        return self.predicted
 
     def __repr__(self) -> str:
         drive, error = self.drive_v, self.shortfall.error_um
@@ -102,8 +88,8 @@ class Compensation:
                 "reach_alone_um": self.reach.alone_um[o].tolist(),
                 "reach_together_um": self.reach.together_um[o].tolist(),
                 "reference_um": [float(self.reference_um[o].min()), float(self.reference_um[o].max())],
-                "predicted_rms_um": float(self.attempt.path_rms_um[o]),
-                "predicted_max_um": float(self.attempt.path_error_um[o]),
+                "predicted_rms_um": float(self.path_rms_um[o]),
+                "predicted_max_um": float(self.path_error_um[o]),
                 "expected_error": self.prediction.summary(o),
             }
             for o, name in enumerate(self.model.outputs)
@@ -137,8 +123,8 @@ class Compensation:
         said = [f"Model {self.source} ({self.model.origin}): {recorded.statement(inputs)}."]
         said += [*verdict_statements(self.model), self._start(), f"Range {self.law.range.words(inputs)}."]
         said.append(self.prediction.statement(self.model.outputs))
-        if self.attempt.lead:
-            seconds = self.attempt.lead * (self.time_s[1] - self.time_s[0])
+        if self.lead:
+            seconds = self.lead * (self.time_s[1] - self.time_s[0])
             said.append(f"The first {seconds:.4g} s move from the initial position to the start of the path.")
         said += [text] if (text := self.law.statement()) else []
         return said + self._path_statements()
@@ -157,7 +143,7 @@ class Compensation:
 
     def _held(self) -> str:
         """Say that the range limits the drive, and by how much less than the model errs."""
-        lead, limited = self.attempt.lead, self.shortfall.at_range.any(axis=0)
+        lead, limited = self.lead, self.shortfall.at_range.any(axis=0)
         if limited[lead:].any():
             return "The drive reaches the limit of its range; the error of this is below the model error."
         most = f"{np.abs(self.shortfall.error_um[:, :lead]).max():.2g} um"
@@ -168,7 +154,7 @@ class Compensation:
     @cached_property
     def _amplified(self) -> list[str]:
         """Say where the law turns the rounding or noise of the path into a noise of the drive."""
-        path, drive = self.reference_um[:, self.attempt.lead :], self.drive_v[:, self.attempt.lead :]
+        path, drive = self.reference_um[:, self.lead :], self.drive_v[:, self.lead :]
         rough_um, span_um = max(map(noise_rms, path)), float(np.ptp(path, axis=1).max())
         if rough_um < FINEST * span_um:
             return []
@@ -333,7 +319,8 @@ def compensation_of(
     if not terms.beyond_records:
         refuse_beyond(model, found.drive_v)
     time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
-    return Compensation(model, found, prediction, reachable, time_s, "", called, held, approach)
+    attempt = (found.law, found.reference_um, found.lead, found.drive_v, found.predicted)
+    return Compensation(*attempt, model, prediction, reachable, time_s, "", called, held, approach)
 
 
 def moved(path_um: Array, offset_um: tuple[float, ...] | None) -> Array:

@@ -2,17 +2,22 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
-from hammerstein.arrays import Array, spans
+from hammerstein.arrays import Array, filled
 from hammerstein.blocks import Law, Memory, require_square
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.compensators.base import Compensator
+from hammerstein.compensators.kernels import (
+    asked_for,
+    feed_back,
+    respond_inverse_multiplicative,
+    step_inverse_multiplicative,
+)
 from hammerstein.dynamics import linear
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Hysteresis, PlayState, PrandtlIshlinskii, slopes_of
@@ -125,21 +130,15 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
             raise SimulationError(f"{self.convergence.statement()} {self._remedy()}")
 
         self._start, self.origin_um = self._at_start()
-        self._frame, self._limits = self._frame_of_steps(), np.stack(self.range.counted)
+        self._limits = np.stack(self.range.counted)
         self._axes = (0.0,) * self.n_inputs
-
-    @cached_property
-    def _compiled_step(self) -> Any:
-        from hammerstein.compensators.kernels import step_inverse_multiplicative
-
-        return step_inverse_multiplicative  # looked up once: a step is short
 
     def _step(self, sample_um: Array, state: FeedbackState) -> tuple[Array, FeedbackState] | None:
         plays = state.plays
         if not isinstance(self.hysteresis, PrandtlIshlinskii) or not isinstance(plays, PlayState):
             return None
         bank = self.hysteresis.bank
-        drive, stack, memory, sound = self._compiled_step(
+        drive, stack, memory, sound = step_inverse_multiplicative(
             sample_um,
             self._frame,
             *(self._axes, self.gain_v_per_um, self.pole, self.iterations, self._limits),
@@ -175,15 +174,19 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         return self._start
 
     def _respond(self, reference_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
-        wanted_um = self._from_rest(reference_um)
-        if isinstance(self.hysteresis, PrandtlIshlinskii):
-            return self._compiled(self.hysteresis, wanted_um, start)
-        return self._stepwise(wanted_um, start)
+        wanted_um, hysteresis = self._from_rest(reference_um), self.hysteresis
+        plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
+        if not isinstance(hysteresis, PrandtlIshlinskii) or not isinstance(plays, PlayState):
+            return self._stepwise(wanted_um, start)
+        law = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
+        stack, b = (plays.count, plays.end, plays.x, plays.d, plays.below), hysteresis.bank
+        given = (wanted_um, self._axes, law, (b.r, b.slope, b.moment), stack, memory)
+        shape = (self.n_inputs, wanted_um.shape[1])
+        drive = filled(respond_inverse_multiplicative, *given, shape=shape, products=64 * self.iterations)
+        return drive, FeedbackState(plays, memory)
 
     def _stepwise(self, wanted_um: Array, start: FeedbackState) -> tuple[Array, FeedbackState]:
         """Run the loop over the samples around a block of any kind."""
-        from hammerstein.compensators.kernels import asked_for, feed_back
-
         plays, memory, drive = start.plays, start.memory_v.copy(), np.empty_like(wanted_um)
         for t in range(wanted_um.shape[1]):
             begun = plays  # only the last pass is sent; where the others leave a trace each begins there
@@ -193,22 +196,6 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
                 v, plays = self.hysteresis.step(u, plays if self.hysteresis.wipes_out else begun)
                 feed_back(self.gain_v_per_um, self.pole, u, v, memory)
             drive[:, t] = u
-        return drive, FeedbackState(plays, memory)
-
-    def _compiled(
-        self, hysteresis: PrandtlIshlinskii, wanted_um: Array, start: FeedbackState
-    ) -> tuple[Array, FeedbackState]:
-        """Run the same loop over the samples, compiled."""
-        from hammerstein.compensators.kernels import respond_inverse_multiplicative
-
-        plays, memory = start.plays.copy(), start.memory_v.copy()  # which the loop writes to
-        assert isinstance(plays, PlayState)
-        drive, b, axes = np.empty_like(wanted_um), hysteresis.bank, self._axes
-        law = (self.gain_v_per_um, self.pole, self.iterations, *self.range.counted)
-        stack = (plays.count, plays.end, plays.x, plays.d, plays.below)
-        bank = (b.r, b.slope, b.moment)
-        for first, stop in spans(wanted_um.shape[1], 64 * self.iterations):
-            respond_inverse_multiplicative(wanted_um, axes, law, bank, stack, memory, first, stop, drive)
         return drive, FeedbackState(plays, memory)
 
 

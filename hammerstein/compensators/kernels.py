@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hammerstein.compiled import compiled, helper
-from hammerstein.hysteresis.play_kernels import at, move, respond_turning_points
+from hammerstein.compiled import at, compiled, helper
+from hammerstein.hysteresis.play_kernels import move, respond_turning_points
 
 # A step below this is no movement: two samples at equal distance from a peak differ in their last bits, and
 # these differ from one machine to another; they must not decide when the jump at a reversal comes.

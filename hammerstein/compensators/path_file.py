@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,8 +89,7 @@ DRIVE_COST = PathCost(450.0, 15e-6)
 CYCLE_COST = PathCost(1300.0, 75e-6)
 
 
-@dataclass(frozen=True)
-class PathWork:
+class PathWork(NamedTuple):
     """What a path costs: samples on the drive's grid, and the cost of each."""
 
     samples: int

@@ -1,9 +1,8 @@
 """Reach of a drive range, and the part of a path beyond it."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,10 +99,10 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
     between = _centre(model, about)[:, None]
     half = 0.5 * limits.span_v
     most = float(np.abs(counted.amplitude(half)).sum()) * len(half)
-    largest = partial(_largest, bisections)
-    alone = np.array([most * largest(_strokes_fit(law, between, [most * row])) for row in np.eye(p)])
+    each = most * np.eye(p)
+    alone = np.array([most * _largest(law, bisections, between, [row]) for row in each])
     corners = [alone * np.array((1, *signs)) for signs in itertools.product((1, -1), repeat=p - 1)]
-    together = alone * largest(_strokes_fit(law, between, corners))
+    together = alone * _largest(law, bisections, between, corners)
     centre = _centre(model, limits)[:, None]
     return Reach(*(centre + np.stack([-size, size], axis=1) for size in (alone, together)))
 
@@ -139,23 +138,15 @@ def _inside(law: Law[Any], path_um: Array) -> bool:
     return True
 
 
-def _largest(bisections: int, fits: Callable[[float], bool]) -> float:
-    """Largest number from 0 to 1 that fits, by bisection."""
+def _largest(law: Law[Any], bisections: int, middle_um: Array, tips_um: Sequence[Array]) -> float:
+    """Largest factor up to 1 with which each tip (p,) and its negative are reached about a middle (p, 1)."""
+    wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
     low, high = 0.0, 1.0
     for _ in range(bisections):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if fits(middle) else (low, middle)
+        scale = 0.5 * (low + high)
+        fits = all(_inside(law, middle_um + scale * np.outer(tip, wave)) for tip in tips_um)
+        low, high = (scale, high) if fits else (low, scale)
     return low
-
-
-def _strokes_fit(law: Law[Any], middle_um: Array, tips_um: Sequence[Array]) -> Callable[[float], bool]:
-    """Whether a factor times each tip (p,) and its negative can be reached about a middle (p, 1) for ever."""
-    wave = np.sin(0.5 * np.pi * np.arange(10 * STROKE_SAMPLES + 1) / STROKE_SAMPLES)
-
-    def fits(scale: float) -> bool:
-        return all(_inside(law, middle_um + scale * np.outer(tip, wave)) for tip in tips_um)
-
-    return fits
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ No device was at hand: what one does with a table was not tried.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,7 @@ from hammerstein.runtime.manifest import Owner
 WAVE_TABLE = Owner("wave table", single=True)
 
 
-@dataclass(frozen=True)
-class Device:
+class Device(NamedTuple):
     """Limits of a kind of table.
 
     most_points : that it holds, if its source says so; step_s : of which the time of a point is a multiple

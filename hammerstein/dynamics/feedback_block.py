@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, spans, times
-from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock
+from hammerstein.dynamics.linear_block import CONTINUOUS, LinearBlock, SteppedBlock, entries_of
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.quantities import Entry, InputNumber
 from hammerstein.validation import Strict
@@ -150,10 +150,6 @@ class FeedbackBlock(SteppedBlock, ByValue):
     def __repr__(self) -> str:
         return f"FeedbackBlock(order {len(self.A)}, {self.hysteresis.describe()} in the loop)"
 
-    def linearised(self, amplitude_v: float) -> LinearBlock:
-        """Give the linear block with the gain of the settled loops at an amplitude of z in place of Gamma."""
-        return self.with_gain(self.hysteresis.gain(amplitude_v))
-
     def with_gain(self, gain: Array) -> LinearBlock:
         """Give the linear block with a gain (q, h) in place of Gamma."""
         both = self.beside(gain)
@@ -209,26 +205,27 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
         The input may come ``late_s`` late, less than a sample; see ``LinearBlock.held``.
         """
-        m, n = self.n_inputs, len(self.A)
-        own = self.hysteresis.on_grid(sample_time_s)
+        m, own = self.n_inputs, self.hysteresis.on_grid(sample_time_s)
+        here = replace(self, hysteresis=own, sample_time_s=sample_time_s)
         later = self._driven.held(sample_time_s - late_s)
         b, e = later.B[:, :m], later.B[:, m:]
         if not late_s:
-            return replace(self, A=later.A, B=b, E=e, hysteresis=own, sample_time_s=sample_time_s)
+            return replace(here, A=later.A, B=b, E=e)
         before = self._driven.held(late_s)
-        first, push = before.B[:, :m], before.B[:, m:]
-        return replace(
-            self,
-            A=np.block([[np.zeros((m, m + n))], [later.A @ first, later.A @ before.A]]),
-            B=np.vstack([np.eye(m), b]),
-            C=np.hstack([self.D, self.C]),
-            D=np.zeros_like(self.D),
-            E=np.vstack([np.zeros((m, e.shape[1])), later.A @ push + e]),
-            F=np.hstack([self.G, self.F]),
-            G=np.zeros_like(self.G),
-            hysteresis=own,
-            sample_time_s=sample_time_s,
-        )
+        first = LinearBlock(before.A, before.B[:, :m], *self._seen, late_s)
+        late = first.then(LinearBlock(later.A, b, *self._seen, sample_time_s), sample_time_s)
+        return here._around(late, np.vstack([np.zeros((m, e.shape[1])), later.A @ before.B[:, m:] + e]))
+
+    @property
+    def _seen(self) -> tuple[Array, Array]:
+        """C and D of y and z together."""
+        return np.vstack([self.C, self.F]), np.vstack([self.D, self.G])
+
+    def _around(self, late: LinearBlock, e: Array) -> FeedbackBlock:
+        """Return the same loop around a block whose outputs are y and z, which w enters by E."""
+        p = self.n_outputs
+        c, d = (late.C[:p], late.C[p:]), (late.D[:p], late.D[p:])
+        return replace(self, A=late.A, B=late.B, C=c[0], D=d[0], E=e, F=c[1], G=d[1])
 
     @property
     def _driven(self) -> LinearBlock:
@@ -249,13 +246,9 @@ class FeedbackBlock(SteppedBlock, ByValue):
         """Delay the input by whole samples (a shift register in front)."""
         if samples == 0:
             return self
-        p = self.n_outputs
-        seen = np.vstack([self.C, self.F]), np.vstack([self.D, self.G])
-        late = LinearBlock(self.A, self.B, *seen, self.sample_time_s).delayed(samples)
+        late = LinearBlock(self.A, self.B, *self._seen, self.sample_time_s).delayed(samples)
         more = len(late.A) - len(self.A)
-        e = np.vstack([np.zeros((more, self.E.shape[1])), self.E])
-        c, d = (late.C[:p], late.C[p:]), (late.D[:p], late.D[p:])
-        return replace(self, A=late.A, B=late.B, C=c[0], D=d[0], E=e, F=c[1], G=d[1])
+        return self._around(late, np.vstack([np.zeros((more, self.E.shape[1])), self.E]))
 
     def rest(self) -> Array:
         """State of a block that was never driven."""
@@ -312,7 +305,4 @@ class FeedbackBlock(SteppedBlock, ByValue):
         """Non-zero entries of [[F, G, late], [A, B, E], [C, D, 0]] row by row."""
         q = self.E.shape[1]
         rows = [[self.F, self.G, self.late], [self.A, self.B, self.E]]
-        full = np.block([*rows, [self.C, self.D, np.zeros((self.n_outputs, q))]])
-        filled = full != 0.0
-        start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
-        return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
+        return entries_of(np.block([*rows, [self.C, self.D, np.zeros((self.n_outputs, q))]]))

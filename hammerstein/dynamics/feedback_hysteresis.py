@@ -122,22 +122,17 @@ class FeedbackHysteresisDynamics(MatrixForm):
 
     def block(self) -> FeedbackBlock:
         """Return its matrices, in continuous time or on its own sample time."""
-        gamma = self.hysteresis.hysteresis()
-        return FeedbackBlock(
-            **self.matrices(),
-            hysteresis=gamma,
-            sample_time_s=self.sample_time_s or CONTINUOUS,
-            products=self.products.products()
-            if self.products
-            else InputProducts.none(gamma.n_inputs, gamma.n_outputs),
-        )
+        gamma, time_s = self.hysteresis.hysteresis(), self.sample_time_s or CONTINUOUS
+        none = InputProducts.none(gamma.n_inputs, gamma.n_outputs)
+        curved = self.products.products() if self.products else none
+        return FeedbackBlock(**self.matrices(), hysteresis=gamma, sample_time_s=time_s, products=curved)
 
     def instability(self) -> str:
         """Say that a pole of the loop at large amplitudes is not stable; empty if all are."""
         block = self.block()
         if self.allow_unstable or not self.A:
             return ""
-        poles = np.linalg.eigvals(block.linearised(FAR_V).A)
+        poles = np.linalg.eigvals(block.with_gain(block.hysteresis.gain(FAR_V)).A)
         worst = float(poles.real.max() if self.sample_time_s is None else np.abs(poles).max() - 1.0)
         if worst < 0.0:
             return ""
@@ -234,11 +229,10 @@ class ElectromechanicalDynamics(Strict):
 
     def block(self) -> FeedbackBlock:
         """Return its matrices, in continuous time."""
-        n, each = len(self.axes), [axis.matrices() for axis in self.axes]
-        a, e, f, g = (np.zeros((rows * n, columns * n)) for rows, columns in ((2, 2), (2, 1), (1, 2), (1, 1)))
-        for i, (own_a, own_e, own_f, own_g) in enumerate(each):
-            a[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], e[2 * i : 2 * i + 2, i : i + 1] = own_a, own_e
-            f[i : i + 1, 2 * i : 2 * i + 2], g[i, i] = own_f, own_g[0, 0]
+        from scipy.linalg import block_diag
+
+        n, each = len(self.axes), zip(*(axis.matrices() for axis in self.axes), strict=True)
+        a, e, f, g = (block_diag(*parts) for parts in each)
         c = np.asarray(np.kron(np.eye(n), [[1.0, 0.0]]), dtype=np.float64)
         none = Pair(np.zeros(1), np.zeros(1))
         charges = [axis.charge() for axis in self.axes]

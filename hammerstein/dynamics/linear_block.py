@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of, spans
+from hammerstein.arrays import Array, ByValue, Complex, Indices, freeze_fields, rows_of, spans, transfer
 from hammerstein.blocks.law import require_grid
 from hammerstein.errors import InputError
 from hammerstein.quantities import interval, number_of, sampling
@@ -98,18 +98,19 @@ class SteppedBlock(ABC):
 
         It has its own sample time; InputError for another one.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise
 
         require_grid(self.sample_time_s, sample_time_s, self.called)
         block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
-        wires = signals("hysteresis_um", self.n_inputs), signals("position_um", self.n_outputs)
+        wires = {"hysteresis_um": self.n_inputs}, {"position_um": self.n_outputs}
         return BlockSystem(block, *wires, sample_time_s, name)
 
 
-def transfer(A: Array, B: Array, C: Array, D: Array, z: Complex) -> Complex:
-    """C (z I - A)^-1 B + D (point, output, input) at points z (point,)."""
-    states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, np.broadcast_to(B, (len(z), *B.shape)))
-    return np.asarray(C @ states + D)
+def entries_of(matrix: Array) -> tuple[Indices, Indices, Array]:
+    """First non-zero entry of each row and of the end, columns of the entries, and the entries."""
+    filled = matrix != 0.0
+    start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
+    return start, np.nonzero(filled)[1].astype(np.int64), matrix[filled]
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +211,7 @@ class LinearBlock(SteppedBlock, ByValue):
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:
         """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
-        full = np.block([[self.A, self.B], [self.C, self.D]])
-        filled = full != 0.0
-        start = np.concatenate([[0], np.cumsum(filled.sum(axis=1))]).astype(np.int64)
-        return start, np.nonzero(filled)[1].astype(np.int64), full[filled]
+        return entries_of(np.block([[self.A, self.B], [self.C, self.D]]))
 
     def response(self, frequency_hz: ArrayLike) -> Complex:
         """Frequency response (frequency, p, m) of the block on its grid."""

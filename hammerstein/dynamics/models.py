@@ -6,6 +6,7 @@ Resonant axes, creep, state-space blocks, and their exact discretisation under a
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from functools import reduce
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
@@ -57,6 +58,18 @@ def natural_frequency_hz(bandwidth_hz: float, damping_ratio: float) -> float:
     return bandwidth_hz / math.sqrt(q)
 
 
+class InMatrices(Strict, ABC):
+    """Linear dynamics in a model file."""
+
+    @abstractmethod
+    def block(self) -> LinearBlock:
+        """Return the matrices, in continuous time or on a sample time of their own."""
+
+    def system(self) -> control.StateSpace:
+        """Return it as a ``control.StateSpace``."""
+        return self.block().system()
+
+
 class CreepMode(Strict):
     """One slow mode: adds ``gain / (1 + time_constant_s s)`` to the direct path of its axis."""
 
@@ -64,7 +77,7 @@ class CreepMode(Strict):
     time_constant_s: TimeConstant
 
 
-class Axis(Strict):
+class Axis(InMatrices):
     """One axis of unit static gain before creep: a resonance, a low-pass, both or none.
 
     G(s) = w_n^2 / (s^2 + 2 z w_n s + w_n^2) * 1 / (1 + T_l s) * (1 + sum of g_i / (1 + T_i s))
@@ -123,10 +136,6 @@ class Axis(Strict):
         )
         return self.model_copy(update=other)
 
-    def system(self) -> control.StateSpace:
-        """Return the axis as a continuous ``control.StateSpace``."""
-        return self.block().system()
-
     def block(self) -> LinearBlock:
         """Return its matrices, in continuous time."""
         parts = [LinearBlock(*matrices, CONTINUOUS) for matrices in self._parts()]
@@ -135,7 +144,7 @@ class Axis(Strict):
     def _parts(self) -> Iterator[StateMatrices]:
         """Parts in series, the last one first."""
         if self.creep:
-            yield _slow_modes([c.gain for c in self.creep], [c.time_constant_s for c in self.creep])
+            yield _slow_modes(self.creep)
         if self.resonance_hz is not None:
             yield _mode(self.resonance_hz, self.damping_ratio or 0.0)
         if self.lag_s is not None:
@@ -143,7 +152,7 @@ class Axis(Strict):
             yield -pole, pole, np.eye(1), np.zeros((1, 1))
 
 
-class AxesDynamics(Strict):
+class AxesDynamics(InMatrices):
     """One axis for each output, without coupling between the outputs."""
 
     kind: Literal["axes"] = "axes"
@@ -181,12 +190,6 @@ class AxesDynamics(Strict):
         axes = ", ".join(axis.describe() for axis in self.axes)
         return f"{kind}: {axes}" + (", with creep" if any(a.creep for a in self.axes) else "")
 
-    def system(self) -> control.StateSpace:
-        """Return the block as a continuous ``control.StateSpace``."""
-        import control
-
-        return control.append(*(axis.system() for axis in self.axes))
-
     def block(self) -> LinearBlock:
         """Return its matrices, in continuous time."""
         from scipy.linalg import block_diag
@@ -196,7 +199,7 @@ class AxesDynamics(Strict):
         return LinearBlock(a, b, c, d, CONTINUOUS)
 
 
-class StaticDynamics(Strict):
+class StaticDynamics(InMatrices):
     """No dynamics: the displacement equals the output of the hysteresis."""
 
     kind: Literal["static"] = "static"
@@ -207,16 +210,12 @@ class StaticDynamics(Strict):
         """Short description."""
         return "none"
 
-    def system(self) -> control.StateSpace:
-        """Return the block as a ``control.StateSpace`` without states."""
-        return self.block().system()
-
     def block(self) -> LinearBlock:
         """Return its matrices, in continuous time."""
         return unit_gain(self.n_outputs)
 
 
-class StateSpaceDynamics(MatrixForm):
+class StateSpaceDynamics(MatrixForm, InMatrices):
     """Linear block x' = A x + B v, y = C x + D v, continuous or with a fixed sample time."""
 
     kind: Literal["state_space"] = "state_space"
@@ -266,10 +265,6 @@ class StateSpaceDynamics(MatrixForm):
         rows = {k: tuple(map(tuple, m.tolist())) for k, m in zip("ABCD", (a, b, c, d), strict=True)}
         allowed: Literal[True] | None = True if allow_unstable else None
         return cls(**rows, sample_time_s=sample_time_s, input_delay_s=input_delay_s, allow_unstable=allowed)
-
-    def system(self) -> control.StateSpace:
-        """Return the block as a ``control.StateSpace``."""
-        return self.block().system()
 
     def block(self) -> LinearBlock:
         """Return its matrices, in continuous time or on its own sample time."""
@@ -338,21 +333,13 @@ def _mode(resonance_hz: float, damping_ratio: float) -> StateMatrices:
     return np.array(a), np.array(b), np.array([[1.0, 0.0]]), np.array([[0.0]])
 
 
-def creep(gains: Sequence[float], time_constants_s: Sequence[float]) -> control.StateSpace:
-    """Creep of one axis as slow linear modes: 1 + sum of g_i / (1 + T_i s).
+def _slow_modes(creep: Sequence[CreepMode]) -> StateMatrices:
+    """Matrices of the creep of one axis as slow linear modes: 1 + sum of g_i / (1 + T_i s).
 
     Source: Croft, Shed and Devasia (paper, reference 7).
     """
-    import control
-
-    return control.ss(*_slow_modes(gains, time_constants_s))
-
-
-def _slow_modes(gains: Sequence[float], time_constants_s: Sequence[float]) -> StateMatrices:
-    """Matrices of the creep of one axis."""
-    n = len(gains)
-    slow = np.reciprocal(np.asarray(time_constants_s, dtype=float).reshape(n))
-    return -np.diag(slow), slow.reshape(n, 1), np.asarray(gains, dtype=float).reshape(1, n), np.eye(1)
+    slow = np.reciprocal(np.array([mode.time_constant_s for mode in creep]))
+    return -np.diag(slow), slow[:, None], np.array([[mode.gain for mode in creep]]), np.eye(1)
 
 
 def linear(dynamics: Dynamics) -> Linear:

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from hammerstein.compiled import compiled, helper
-
-at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
+from hammerstein.compiled import at, compiled, helper
 
 
 @compiled()

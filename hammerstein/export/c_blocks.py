@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import singledispatch
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Indices
 from hammerstein.dynamics import FeedbackBlock, LinearBlock
 from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.errors import InputError
@@ -33,8 +33,7 @@ from hammerstein.hysteresis import (
 )
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """A number that is known when the code is compiled."""
 
     name: str
@@ -329,17 +328,16 @@ def c_moving_block_of(hysteresis: Any, state: Any) -> CPart:
 def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
     """Stack of segments, with the contribution of the segments below each."""
     rows, stack = hysteresis.bank.r.shape[1] + 1, (state.end, state.x, state.d, state.below)
-    plays = [
-        {
-            "count": int(state.count[k]),
-            "stack": [
-                {"end": int(end), "x": x, "d": d, "below": below}
-                for end, x, d, below in zip(*(part[k, :rows] for part in stack), strict=True)
-            ],
-        }
-        for k in range(hysteresis.n_inputs)
-    ]
+    each = enumerate(state.count.tolist())
+    plays = [{"count": count, "stack": stacked(*(part[k, :rows] for part in stack))} for k, count in each]
     return _grid(hysteresis, rows) + CPart(start={"plays": plays}, values={"hysteresis": "moves"})
+
+
+def stacked(*columns: Array | Indices) -> list[dict[str, Any]]:
+    """Segments of a stack: where each ends, x, d and what lies below it."""
+    return [
+        {"end": int(end), "x": x, "d": d, "below": below} for end, x, d, below in zip(*columns, strict=True)
+    ]
 
 
 def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:

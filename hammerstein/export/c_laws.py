@@ -28,6 +28,7 @@ from hammerstein.export.c_blocks import (
     c_moving_block_of,
     dynamics_part,
     envelopes_part,
+    stacked,
 )
 from hammerstein.export.request import ForwardModel
 from hammerstein.hysteresis.asymmetric import ZoneLines
@@ -272,17 +273,10 @@ def _zones(lines: ZoneLines, segments: int) -> CPart:
 
 def _hand(start: Any, k: int) -> dict[str, Any]:
     """Memory of one input."""
-    stack = [
-        {
-            "end": int(row[pieces.END]),
-            "x": row[pieces.X],
-            "d": row[pieces.D],
-            "below": row[pieces.BELOW :],
-        }
-        for row in start.stack[k]
-    ]
+    rows = start.stack[k]
+    columns = (rows[:, pieces.END], rows[:, pieces.X], rows[:, pieces.D], rows[:, pieces.BELOW :])
     count, wanted, ramp = start.hand[k, [pieces.COUNT, pieces.WANTED, pieces.RAMP]]
-    return {"count": int(count), "stack": stack, "wanted": wanted, "ramp": ramp}
+    return {"count": int(count), "stack": stacked(*columns), "wanted": wanted, "ramp": ramp}
 
 
 @c_law_of.register

@@ -11,10 +11,9 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -188,8 +187,7 @@ def measure(code: CCode, signal: Array, output: Array) -> MeasuredCode:
     return MeasuredCode(operations=most, samples=SEARCHED + tried, **loss)
 
 
-@dataclass(frozen=True)
-class WrittenCode:
+class WrittenCode(NamedTuple):
     """Result of writing: names of the files, notes for a person, and files that were kept aside."""
 
     files: tuple[str, ...]

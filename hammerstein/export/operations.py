@@ -9,9 +9,8 @@ calls itself, and nothing outside the file is called. ``Code`` refuses code that
 """
 
 import re
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 from hammerstein.errors import InternalError
 
@@ -21,8 +20,7 @@ COUNTER = "operations"
 _NOT_COUNTED = {"&", "*", "sizeof"}
 
 
-@dataclass(frozen=True)
-class Cost:
+class Cost(NamedTuple):
     """Bytes and operations of a law.
 
     state_bytes : of the structure that the caller owns, with every number aligned to its size

@@ -1,8 +1,7 @@
 """Request of an export: model, law with options, limits of the drive, and the block that they make."""
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,8 +19,7 @@ from hammerstein.quantities import Offset, Plain, SampleTime
 from hammerstein.validation import Strict, mistakes_in
 
 
-@dataclass(frozen=True, eq=False)
-class ForwardState:
+class ForwardState(NamedTuple):
     """Memory of the hysteresis, and state (n,) of the block behind it."""
 
     hysteresis: Any

@@ -9,9 +9,8 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,8 +40,7 @@ def compiler() -> str | None:
     return next((found for name in candidates if (found := shutil.which(name))), None)
 
 
-@dataclass(frozen=True)
-class CallShape:
+class CallShape(NamedTuple):
     """How a law is called: its name, its kind of numbers, how many go in and come out."""
 
     name: str

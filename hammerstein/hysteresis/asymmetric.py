@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -106,8 +106,7 @@ class DeadZones(ByValue):
         return np.asarray(beyond @ self.weights_um_per_v)
 
 
-@dataclass(frozen=True, eq=False)
-class ZoneLines:
+class ZoneLines(NamedTuple):
     """All dead-zones as lines, on one grid for each input, relative to the working point.
 
     n : (m,) breakpoints of each input
@@ -260,8 +259,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         from hammerstein.hysteresis.shape_kernels import add_dead_zones
 
         v, plays = self.plays.respond(u_v, start.plays)
-        held, lines = start.smallest_v.copy(), self.lines
-        zones = (lines.ends, lines.slope, lines.intercept)
+        held, (_, *zones) = start.smallest_v.copy(), self.lines
         add_dead_zones(u_v, self.smallest_v, held, *zones, v, (0,) * self.n_outputs)
         return v, AsymmetricState(plays, held)
 

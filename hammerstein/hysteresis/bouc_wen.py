@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, frozen, spans
+from hammerstein.arrays import Array, filled, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake, refuse
+from hammerstein.hysteresis.bouc_wen_kernels import lagging, respond_bouc_wen
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
-    Hysteresis,
     HysteresisFile,
+    OfPairs,
     PartFile,
     refuse_not_finite,
 )
@@ -96,6 +97,10 @@ class BoucWenPair:
             steepest = max(steepest, 2.0 * self.beta_per_v / self.load_per_v)
         return self.direct_um_per_v, self.direct_um_per_v - self.hysteretic_um_per_v * steepest
 
+    def amplitude(self, amplitude_v: float) -> float:
+        """Half height of the settled loop [um] from tip to tip: d A - a z."""
+        return self.direct_um_per_v * amplitude_v - self.hysteretic_um_per_v * self.tip_v(amplitude_v)
+
     def tip_v(self, amplitude_v: float) -> float:
         """Where z stands at the tip of the settled loop of an amplitude A [V].
 
@@ -129,7 +134,7 @@ class BoucWenState(Memory):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BoucWen(Hysteresis[BoucWenState], Identifiable):
+class BoucWen(OfPairs[BoucWenState], Identifiable):
     """Bouc-Wen hysteresis with exponent 1; each of p outputs is a sum over m inputs.
 
         v_l = sum over inputs k of  d_lk u_k - a_lk z_lk
@@ -215,26 +220,10 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
         return self.respond(path_v, BoucWenState(self.rest().z_v, path_v[:, 0].copy()))[1]
 
     def _respond(self, u_v: Array, start: BoucWenState) -> tuple[Array, BoucWenState]:
-        from hammerstein.hysteresis.bouc_wen_kernels import respond_bouc_wen
-
         refuse_not_finite(u_v)
-        y, state = np.empty((self.n_outputs, u_v.shape[1])), start.copy()
-        for first, stop in spans(u_v.shape[1], 64 * self.n_inputs * self.n_outputs):
-            respond_bouc_wen(u_v, *self.bank, state.z_v, state.last_v, first, stop, y)
-        return y, state
-
-    def amplitude(self, amplitude_v: ArrayLike) -> Array:
-        """Half heights of the settled loops (output, input) [um] from tip to tip: d A - a z."""
-        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
-        return np.array(
-            [
-                [
-                    pair.direct_um_per_v * size - pair.hysteretic_um_per_v * pair.tip_v(size)
-                    for pair, size in zip(row, sizes.tolist(), strict=True)
-                ]
-                for row in self.pairs
-            ]
-        )
+        state, shape, products = start.copy(), (self.n_outputs, u_v.shape[1]), 64 * self.bank[0].size
+        given = (u_v, *self.bank, state.z_v, state.last_v)
+        return filled(respond_bouc_wen, *given, shape=shape, products=products), state
 
     def slope_columns(self, k: int) -> Array:
         """Ends of the slopes of input k (number, output) [um/V], in all combinations; d comes last.
@@ -299,8 +288,6 @@ class BoucWen(Hysteresis[BoucWenState], Identifiable):
 
     def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
         """Voltage and -z of each input; see ``Identifiable``."""
-        from hammerstein.hysteresis.bouc_wen_kernels import lagging
-
         values, held = np.empty((2 * self.n_inputs, u_v.shape[1])), np.empty(2 * self.n_inputs)
         for k, pair in enumerate(self.pairs[output]):
             rates, u, turns = (pair.load_per_v, pair.unload_per_v), u_v[k], before_v[k].copy()

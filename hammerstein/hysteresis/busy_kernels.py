@@ -19,9 +19,7 @@ signal is cut. With n operators a window of it is busy if more than one sample i
 
 import numpy as np
 
-from hammerstein.compiled import helper
-
-at = np.uint64  # see ``play_kernels``
+from hammerstein.compiled import at, helper
 
 LOOK, WINDOW = 64, 512
 """Samples after which turns are looked at: few in the turning-point form, for there much is lost where all of

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from abc import ABC, abstractmethod
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,49 +81,58 @@ def _share(x: Array) -> Array:
     return np.asarray(2.0 / np.pi * (np.arcsin(within) + within * np.sqrt(1.0 - within**2)))
 
 
-def first_harmonic(hysteresis: Hysteresis[Any], amplitude_v: float, range_v: float = np.inf) -> complex:
-    """Gain of the first harmonic [um/V] of the settled loop of a block of one pair, from its samples.
+class Describable(ABC):
+    """Ability of a kind that wipes out: the first harmonic of one pair, for python-control."""
 
-    For a kind that wipes out: the second cycle of a sine, cut at the range, is settled.
+    @property
+    @abstractmethod
+    def reversals_v(self) -> Array:
+        """Voltages by which a way must reverse until operators of the first pair move, sorted [V]."""
 
-    amplitude_v : amplitude of the sine asked for, about the working point [V]
-    range_v : range of the drive, the same on both sides [V]
-    """
-    angle = 2.0 * np.pi * np.arange(2 * HARMONIC_SAMPLES) / HARMONIC_SAMPLES
-    u = np.clip(amplitude_v * np.sin(angle), -range_v, range_v)
-    settled = hysteresis.respond(u[None])[0][0, HARMONIC_SAMPLES:]
-    return complex(2j * np.mean(settled * np.exp(-1j * angle[HARMONIC_SAMPLES:])) / amplitude_v)
+    def first_harmonic(self, amplitude_v: float, range_v: float) -> complex:
+        """Gain of the first harmonic [um/V] of the settled loop of one pair, from its samples.
 
+        The second cycle of a sine about the working point, cut at the range, is settled.
 
-def nonlinearity_of(
-    hysteresis: Hysteresis[Any],
-    of_amplitude: Callable[[float], complex],
-    thresholds_v: Array,
-    range_v: float,
-) -> HysteresisNonlinearity:
-    """Return a block of one pair behind a drive for python-control.
+        amplitude_v : amplitude of the sine asked for [V]
+        range_v : range of the drive, the same on both sides [V]
+        """
+        angle = 2.0 * np.pi * np.arange(2 * HARMONIC_SAMPLES) / HARMONIC_SAMPLES
+        u = np.clip(amplitude_v * np.sin(angle), -range_v, range_v)
+        settled = cast("Hysteresis[Any]", self).respond(u[None])[0][0, HARMONIC_SAMPLES:]
+        return complex(2j * np.mean(settled * np.exp(-1j * angle[HARMONIC_SAMPLES:])) / amplitude_v)
 
-    of_amplitude : its describing function behind that drive
-    thresholds_v : voltages by which a way must reverse until its operators move, sorted [V]
+    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
+        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
 
-    Raises InputError for more than one input or output, or a range within which no operator moves.
-    """
-    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
+        Sines go about the working point.
 
-    if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
-        axes = hysteresis.ports
-        raise InputError(
-            "describing function", f"needs a single pair; the block has {axes}: give one pair of it"
-        )
-    state: Any = hysteresis.rest()
-    smallest, largest = float(thresholds_v[0]), float(thresholds_v[-1])
-    if not range_v > smallest:
-        raise InputError("range_v", f"is {range_v:g}: nothing moves below {smallest:g} V")
+        Parameters
+        ----------
+        range_v : range of the drive, the same on both sides of the working point [V]; inf: none
 
-    def move(u_v: float) -> float:
-        nonlocal state
-        v_um, state = hysteresis.step([min(max(u_v, -range_v), range_v)], state)
-        return float(v_um[0])
+        Raises
+        ------
+        InputError : more than one input or output, or a range within which no operator moves
+        """
+        from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
-    scale = max(largest, 1.0) if np.isinf(range_v) else range_v
-    return HysteresisNonlinearity(of_amplitude, move, (smallest or 1e-3 * scale, 100.0 * scale))
+        hysteresis = cast("Hysteresis[Any]", self)
+        if (hysteresis.n_outputs, hysteresis.n_inputs) != (1, 1):
+            axes = hysteresis.ports
+            raise InputError(
+                "describing function", f"needs a single pair; the block has {axes}: give one pair of it"
+            )
+        state: Any = hysteresis.rest()
+        smallest, largest = float(self.reversals_v[0]), float(self.reversals_v[-1])
+        if not range_v > smallest:
+            raise InputError("range_v", f"is {range_v:g}: nothing moves below {smallest:g} V")
+
+        def move(u_v: float) -> float:
+            nonlocal state
+            v_um, state = hysteresis.step([min(max(u_v, -range_v), range_v)], state)
+            return float(v_um[0])
+
+        scale = max(largest, 1.0) if np.isinf(range_v) else range_v
+        of_amplitude = partial(self.first_harmonic, range_v=range_v)
+        return HysteresisNonlinearity(of_amplitude, move, (smallest or 1e-3 * scale, 100.0 * scale))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
 from hammerstein.errors import InputError, Mistake, refuse
-from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
+from hammerstein.hysteresis.describing_function import Describable
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
     Bounds,
@@ -37,9 +37,6 @@ from hammerstein.hysteresis.pair import Pair, PlayState, WeightCovariance, play_
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.hysteresis.shape_kernels import bent_at, tanh_by_doubling
 from hammerstein.quantities import Offset, PerVolt
-
-if TYPE_CHECKING:
-    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
 FIRST_KNOTS = (0.25, 0.5, 0.75)
 """Where the slope of the first envelopes changes, in parts of the range."""
@@ -203,7 +200,7 @@ class Envelope(ByValue):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Generalised(Hysteresis[PlayState], Identifiable):
+class Generalised(Hysteresis[PlayState], Identifiable, Describable):
     """Prandtl-Ishlinskii hysteresis behind an envelope of each voltage, for m inputs and p outputs.
 
         v_l = sum over inputs j and operators i of  w_lji play(g_j(u_j); r_lji)
@@ -422,21 +419,10 @@ class Generalised(Hysteresis[PlayState], Identifiable):
             found.append(f"plays of {name} have an envelope with slopes from {least:.3g} to {most:.3g}")
         return found
 
-    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
-
-        Sines go about the working point; the first harmonic is that of the samples of the settled loop.
-
-        range_v : range of the drive, the same on both sides of the working point [V]; inf: none
-
-        Raises InputError for more than one input or output, or a range within which nothing moves.
-        """
-
-        def of_amplitude(amplitude_v: float) -> complex:
-            return first_harmonic(self, amplitude_v, range_v)
-
-        soonest = self.plays.pairs[0][0].thresholds_v / self.envelopes[0].all_slopes.max()
-        return nonlinearity_of(self, of_amplitude, soonest, range_v)
+    @property
+    def reversals_v(self) -> Array:
+        """Thresholds of the first pair behind its steepest envelope; see ``Describable``."""
+        return self.plays.reversals_v / self.envelopes[0].all_slopes.max()
 
     def file(self) -> GeneralisedFile:
         """Form in a model file."""

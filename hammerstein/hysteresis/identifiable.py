@@ -234,10 +234,6 @@ class Identifiable(ABC):
         """
         return None
 
-    def grown(self, driven: Driven) -> Sequence[Self]:
-        """Blocks with more parameters, tried after this one; empty if there are none."""
-        return ()
-
     def without_own(self) -> tuple[Self, str] | None:
         """The block with plays only, and the name of the effect that it lacks; None if there is none.
 

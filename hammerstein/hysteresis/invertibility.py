@@ -25,6 +25,7 @@ from hammerstein.hysteresis import (
     Sloped,
     slopes_of,
 )
+from hammerstein.hysteresis.rate_dependent import worst_shares
 from hammerstein.quantities import number_of
 
 LARGEST_NUMBER = 2_000_000
@@ -241,11 +242,8 @@ def _why_unproven(weights: Array, mean: Array, *, always: bool) -> str:
         return "the mean slopes are singular"
     for k, own_weights in enumerate(weights):
         shares = np.linalg.solve(mean, own_weights.T)
-        own, others = shares[k], np.delete(shares, k, axis=0)
-        least = own[0] + np.minimum(own[1:], 0.0).sum()
-        highest = others[:, 0] + np.maximum(others[:, 1:], 0.0).sum(axis=1)
-        lowest = others[:, 0] + np.minimum(others[:, 1:], 0.0).sum(axis=1)
-        most = float(np.maximum(highest, -lowest).sum())
+        others = np.delete(shares, k, axis=0)
+        least, most = worst_shares(shares[k], others)
         if least <= most + SINGULAR:
             beside = f", and moves the others by up to {most:.3g} of theirs" if len(others) else ""
             return (
@@ -333,25 +331,17 @@ def _enumerated(
 ) -> Invertibility:
     """Examine all determinants one by one."""
     slopes = every_matrix([choices.slopes for choices in reached])
-    (positive, negative, singular), first = _counted_signs(slopes)
+    counts, first = _counted_signs(slopes)
     engaged: tuple[int, ...] = ()
     zones: list[tuple[float, float]] = []
-    if min(positive, negative) or singular:
+    if min(counts[:2]) or counts[2]:
         choice = np.unravel_index(first, [len(choices.engaged) for choices in reached])
         engaged = tuple(int(one.engaged[i]) for one, i in zip(reached, choice, strict=True))
         if square.lines.n.any():
             zones = [_ends_v(square, k, int(one.zone[choice[k]])) for k, one in enumerate(reached)]
     thresholds = tuple(float(square.plays.bank.r[k, n - 1] + smallest_v[k]) for k, n in enumerate(engaged))
-    return Invertibility(
-        positive,
-        negative,
-        singular,
-        engaged,
-        thresholds,
-        slopes[first, :n_outputs],
-        2.0 * smallest_v,
-        zones_v=tuple(zones),
-    )
+    place = (engaged, thresholds, slopes[first, :n_outputs])
+    return Invertibility(*counts, *place, 2.0 * smallest_v, zones_v=tuple(zones))
 
 
 def _counted_signs(slopes: Array) -> tuple[tuple[int, int, int], int]:

@@ -25,7 +25,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 from hammerstein.arrays import Array, ByValue, frozen, rows_of
 from hammerstein.blocks import Memory
 from hammerstein.blocks.law import require_grid
-from hammerstein.errors import InputError, SimulationError
+from hammerstein.errors import InputError, Mistake, SimulationError
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.plugins import Family
 from hammerstein.quantities import NoCycles, Threshold, Weight, WeightError, number_of
@@ -263,13 +263,27 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
         Raises InputError for a sample time that is not above zero.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise
 
         require_grid(None, sample_time_s, "hysteresis")
         here = self.on_grid(sample_time_s)
         block = Stepwise(here.rest(), here.step, lambda state: state.as_dict(), here.restore)
-        wires = signals("drive_v", self.n_inputs), signals("hysteresis_um", self.n_outputs)
+        wires = {"drive_v": self.n_inputs}, {"hysteresis_um": self.n_outputs}
         return BlockSystem(block, *wires, sample_time_s, name)
+
+
+class OfPairs(Hysteresis[S]):
+    """Hysteresis of pairs (output, input), each of which knows its own settled loop."""
+
+    if TYPE_CHECKING:  # a field of both kinds
+        pairs: tuple[tuple[Any, ...], ...]
+
+    def amplitude(self, amplitude_v: ArrayLike) -> Array:
+        """Half heights of the settled loops (output, input) [um], in closed form."""
+        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs).tolist()
+        return np.array(
+            [[pair.amplitude(size) for pair, size in zip(row, sizes, strict=True)] for row in self.pairs]
+        )
 
 
 @runtime_checkable
@@ -278,11 +292,6 @@ class Sloped(Protocol):
 
     Every slope is one of these, or a mean of some of them with the same shares for all outputs.
     """
-
-    @property
-    def n_inputs(self) -> int:
-        """Number m of inputs."""
-        ...
 
     def slope_columns(self, k: int) -> Array:
         """Slopes (number, output) [um/V] that input k can have while it moves."""
@@ -294,42 +303,6 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
     if isinstance(hysteresis, Sloped):
         return hysteresis.slope_columns(k)
     return hysteresis.swept_slopes(k, amplitude_v)
-
-
-class HysteresisFile(Strict, ABC):
-    """Form of one kind of hysteresis in a model file, selected by ``kind``."""
-
-    model_config = ConfigDict(from_attributes=True)
-
-    describes: ClassVar[type[Hysteresis[Any]] | None] = None
-    """The class that it is the file of; needed where that is ``Identifiable``."""
-
-    if TYPE_CHECKING:  # a field of every kind
-        kind: str
-
-    def hysteresis(self) -> Hysteresis[Any]:
-        """Return the hysteresis this describes, from its fields by their names; InputError where it is none.
-
-        A kind whose class does not take what its file holds says otherwise.
-        """
-        parts = {name: described(value) for name, value in self if name != "kind"}
-        return cast("Hysteresis[Any]", cast("Any", self.describes)(**parts))
-
-    @model_validator(mode="after")
-    def _is_a_hysteresis(self) -> Self:
-        refuse_unbuilt(self.hysteresis)
-        return self
-
-
-HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")
-
-
-def refuse_unbuilt(build: Callable[[], object]) -> None:
-    """Let what cannot be built be a mistake at its place in the file: a ValueError for pydantic."""
-    try:
-        build()
-    except InputError as error:
-        raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
 
 
 def refuse_not_finite(u_v: Array) -> None:
@@ -346,7 +319,7 @@ def working_point(given: ArrayLike | None, m: int, kind: str) -> Array:
     """
     point = frozen(np.zeros(m) if given is None else given)
     if point.shape != (m,) or not np.isfinite(point).all():
-        raise InputError(f"{kind} model", f"its working point must be {m} finite voltages")
+        raise InputError(f"{kind} model", [Mistake("working_point_v", f"must be {m} finite voltages")])
     return point
 
 
@@ -355,17 +328,49 @@ class PartFile(Strict):
 
     model_config = ConfigDict(from_attributes=True)
 
-    describes: ClassVar[Callable[..., Any]]
+    describes: ClassVar[Callable[..., Any] | None] = None
     """What makes the part of its own fields, by their names."""
 
     def value(self) -> Any:
         """Return the part this describes; InputError where it is none."""
-        return self.describes(**self.model_dump())
+        return cast("Any", self.describes)(**{name: described(own) for name, own in self if name != "kind"})
 
     @model_validator(mode="after")
     def _is_a_part(self) -> Self:
         refuse_unbuilt(self.value)
         return self
+
+
+def refuse_unbuilt(build: Callable[[], object]) -> None:
+    """Let what cannot be built be a mistake at its place in the file: a ValueError for pydantic."""
+    try:
+        build()
+    except InputError as error:
+        raise ValueError("; ".join(f"{m.where} {m.what}".strip() for m in error.mistakes)) from None
+
+
+class HysteresisFile(PartFile, ABC):
+    """Form of one kind of hysteresis in a model file, selected by ``kind``."""
+
+    describes: ClassVar[type[Hysteresis[Any]] | None] = None
+    """The class that it is the file of; needed where that is ``Identifiable``."""
+
+    if TYPE_CHECKING:  # a field of every kind
+        kind: str
+
+    def hysteresis(self) -> Hysteresis[Any]:
+        """Return the hysteresis this describes, from its fields by their names; InputError where it is none.
+
+        A kind whose class does not take what its file holds says otherwise.
+        """
+        return cast("Hysteresis[Any]", super().value())
+
+    def value(self) -> Hysteresis[Any]:
+        """Return the hysteresis."""
+        return self.hysteresis()
+
+
+HYSTERESIS: Family[HysteresisFile] = Family(HysteresisFile, "kind")
 
 
 class PairFile(PartFile):

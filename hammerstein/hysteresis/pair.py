@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze, freeze_fields, frozen, spans
+from hammerstein.arrays import Array, ByValue, Indices, filled, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import InputError, Mistake, refuse
 
@@ -48,10 +48,8 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
             "play",
             f"start has {len(plays)} outputs, r {len(thresholds)} thresholds; they must be equally many",
         )
-    outputs = np.empty((len(thresholds), len(voltages)))
-    for first, stop in spans(len(voltages), 4 * len(thresholds)):
-        play_bank(voltages, thresholds, plays, first, stop, outputs)
-    return outputs
+    shape = (len(thresholds), len(voltages))
+    return filled(play_bank, voltages, thresholds, plays, shape=shape, products=4 * len(thresholds))
 
 
 def played(path_v: ArrayLike, r: ArrayLike) -> Array:

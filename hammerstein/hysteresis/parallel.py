@@ -17,7 +17,6 @@ from hammerstein.hysteresis.asymmetric import AsymmetricFile
 from hammerstein.hysteresis.bouc_wen import BoucWenFile
 from hammerstein.hysteresis.generalised import GeneralisedFile
 from hammerstein.hysteresis.kind import SLOW_S, Hysteresis, HysteresisFile
-from hammerstein.hysteresis.pair import WeightCovariance
 from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiFile
 from hammerstein.hysteresis.preisach import PreisachFile
 from hammerstein.hysteresis.rate_dependent import RateDependentFile
@@ -58,6 +57,7 @@ class Parallel(Hysteresis[ParallelState]):
     parts: tuple[Hysteresis[Any], ...]
 
     kind: ClassVar[str] = "parallel"
+    weight_covariance = None  # it is not identified
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(self.parts))
@@ -128,11 +128,6 @@ class Parallel(Hysteresis[ParallelState]):
             first = [a + n for a, n in zip(first, sizes, strict=True)]
         return replace(self, parts=tuple(parts))
 
-    @property
-    def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
-        """None: it is not identified."""
-        return None
-
     def file(self) -> ParallelFile:
         """Form in a model file."""
         return ParallelFile.model_validate({"parts": [part.file() for part in self.parts]})
@@ -148,8 +143,5 @@ class ParallelFile(HysteresisFile):
     """Blocks side by side whose outputs add: to be simulated."""
 
     kind: Literal["parallel"] = "parallel"
+    describes: ClassVar = Parallel
     parts: Annotated[tuple[Part, ...], Field(min_length=2)]
-
-    def hysteresis(self) -> Parallel:
-        """Return the hysteresis this describes."""
-        return Parallel(tuple(part.hysteresis() for part in self.parts))

@@ -34,7 +34,7 @@ Source: Brokate and Sprekels, Hysteresis and Phase Transitions (1996), chapter 2
 
 import numpy as np
 
-from hammerstein.compiled import compiled, helper
+from hammerstein.compiled import at, compiled, helper
 from hammerstein.hysteresis.busy_kernels import (
     BEFORE,
     BUSY,
@@ -49,10 +49,9 @@ from hammerstein.hysteresis.busy_kernels import (
     respond_busy,
 )
 
-# Two habits that these loops owe half of their speed to. An index of unsigned type is not tested for Python's
-# counting from the end; no index is negative here. And helpers use every array on each way through them, and
-# take arrays one by one, not in tuples: then Numba proves that it need not count references to them.
-at = np.uint64
+# A habit that these loops owe half of their speed to, beside the unsigned index: helpers use every array on
+# each way through them, and take arrays one by one, not in tuples: then Numba proves that it need not count
+# references to them.
 
 BLOCK = 2048  # samples of all inputs and outputs that stay in the processor's cache together
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, frozen, spans
 from hammerstein.errors import InputError, Mistake, naming
-from hammerstein.hysteresis.describing_function import describing_function, nonlinearity_of
+from hammerstein.hysteresis.describing_function import Describable, describing_function
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
     Bounds,
@@ -24,8 +24,8 @@ from hammerstein.hysteresis.identifiable import (
 )
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
-    Hysteresis,
     HysteresisFile,
+    OfPairs,
     PairFile,
     refuse_not_finite,
 )
@@ -40,12 +40,9 @@ from hammerstein.hysteresis.pair import (
     refuse_other_sizes,
 )
 
-if TYPE_CHECKING:
-    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
+class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
     """Rate-independent hysteresis of m inputs and p outputs; each output responds to each input.
 
         v_l[k] = sum over inputs j and operators i of  w_lji  play(u_j; r_lji)[k]      (paper, eq. 4)
@@ -110,10 +107,11 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             message = f"weights have shape {weights.shape}; give (output, input, operator)"
             raise InputError("Prandtl-Ishlinskii model", message)
         r = frozen(thresholds_v)
-        rows = []
-        for l, row in enumerate(weights):  # noqa: E741 - the paper's index of an output
-            rows.append(tuple(_named_pair(r, w, l, k) for k, w in enumerate(row)))
-        return cls(tuple(rows))
+        rows: list[list[Pair]] = [[] for _ in weights]
+        for o, k in np.ndindex(weights.shape[:2]):
+            with naming(f"pair of output {o + 1} and input {k + 1}"):
+                rows[o].append(Pair(r, weights[o, k]))
+        return cls(tuple(map(tuple, rows)))
 
     @cached_property
     def bank(self) -> Bank:
@@ -191,13 +189,6 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             if respond_turning_points(u_v, *bank, *stack, *here, v_um, (0,) * self.n_outputs) < here[1]:
                 refuse_not_finite(u_v)
         return s
-
-    def amplitude(self, amplitude_v: ArrayLike) -> Array:
-        """Half heights of the settled loops (output, input) [um], in closed form."""
-        sizes = np.broadcast_to(np.asarray(amplitude_v, dtype=np.float64), self.n_inputs)
-        return np.array(
-            [[pair.amplitude(size) for pair, size in zip(row, sizes, strict=True)] for row in self.pairs]
-        )
 
     def slope_columns(self, k: int) -> Array:
         """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""
@@ -282,34 +273,20 @@ class PrandtlIshlinskii(Hysteresis[PlayState], Identifiable):
             rows.append(tuple(Pair(pair.thresholds_v, part) for pair, part in zip(row, parts, strict=True)))
         return PrandtlIshlinskii(tuple(rows))
 
-    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
+    @property
+    def reversals_v(self) -> Array:
+        """Thresholds of the first pair; see ``Describable``."""
+        return self.pairs[0][0].thresholds_v
 
-        Parameters
-        ----------
-        range_v : range of the drive, the same on both sides [V]; inf: none
-
-        Raises
-        ------
-        InputError : more than one input or output, or a range within which no operator moves
-        """
-        pair = self.pairs[0][0]
-
-        def of_amplitude(amplitude_v: float) -> complex:
-            return complex(describing_function(pair, amplitude_v, range_v))
-
-        return nonlinearity_of(self, of_amplitude, pair.thresholds_v, range_v)
+    def first_harmonic(self, amplitude_v: float, range_v: float) -> complex:
+        """Gain of the first harmonic in closed form; see ``Describable``."""
+        return complex(describing_function(self.pairs[0][0], amplitude_v, range_v))
 
 
 def _apart(thresholds_v: Array) -> Array:
     """Thresholds in order, apart in parts of the largest one."""
     top = float(thresholds_v.max(initial=0.0))
     return top * kept_apart(thresholds_v / top, 1.0) if top > 0.0 else thresholds_v
-
-
-def _named_pair(r: Array, w: Array, output: int, input_: int) -> Pair:
-    with naming(f"pair of output {output + 1} and input {input_ + 1}"):
-        return Pair(r, w)
 
 
 def _checked_plays(plays: Array, r: Array, k: int) -> Array:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, Flags, Indices, freeze, freeze_fields, frozen, spans
+from hammerstein.arrays import Array, Flags, Indices, filled, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import Mistake, refuse
-from hammerstein.hysteresis.describing_function import first_harmonic, nonlinearity_of
+from hammerstein.hysteresis.describing_function import Describable
 from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
 from hammerstein.hysteresis.kind import (
     Hysteresis,
@@ -22,11 +22,9 @@ from hammerstein.hysteresis.kind import (
     lower_rows,
     lower_triangle,
     refuse_not_finite,
+    working_point,
 )
 from hammerstein.quantities import Offset, Weight
-
-if TYPE_CHECKING:
-    from hammerstein.blocks.limit_cycles import HysteresisNonlinearity
 
 MOST_CELLS = 40
 """Cells on a side of a plane at most: 820 weights a pair."""
@@ -56,8 +54,7 @@ class PreisachState(Memory):
     last: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Planes:
+class Planes(NamedTuple):
     """The planes of all inputs as the kernels want them.
 
     rest, low, high, size : (m,) working point, ends of the plane, width of a cell [V]; cells : (m,)
@@ -92,11 +89,9 @@ class Planes:
         """Outputs (p, N) for voltages (m, N) relative to the working point, and the memory after them."""
         from hammerstein.hysteresis.preisach_kernels import respond_preisach
 
-        own, y = start.copy(), np.empty((self.node.shape[3], u_v.shape[1]))
-        planes = (self.rest, self.low, self.high, self.size, self.cells, self.node, self.beyond)
-        for first, stop in spans(u_v.shape[1], 8 * len(u_v) * len(y)):
-            respond_preisach(u_v, *planes, own.count, own.x, own.tip, own.last, first, stop, y)
-        return y, own
+        own, shape = start.copy(), (self.node.shape[3], u_v.shape[1])
+        given = (u_v, *self, own.count, own.x, own.tip, own.last)
+        return filled(respond_preisach, *given, shape=shape, products=8 * len(u_v) * shape[0]), own
 
     def fresh(self, home_v: Array) -> PreisachState:
         """Memory of an actuator that was never driven and stands at voltages (m,), as they are sent [V].
@@ -122,7 +117,7 @@ class Planes:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Preisach(Hysteresis[PreisachState], Identifiable):
+class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
     """Sum of relays over a plane of switching voltages for each pair of m inputs and p outputs.
 
         v_l = sum over inputs j of  integral over beta <= alpha of  mu_lj(alpha, beta) relay(u_j; alpha, beta)
@@ -168,24 +163,23 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
 
     kind: ClassVar[str] = "preisach"
     wipes_out: ClassVar[bool] = True
+    n_beside_weights: ClassVar[int] = 0  # the planes are those of the records
+    # the records determine sums of cells, and the smoothness distributes them
+    weight_covariance = None
 
     def __post_init__(self) -> None:
         freeze_fields(self, "low_v", "high_v")
         rows = tuple(tuple(frozen(cells) for cells in row) for row in self.cells_um_per_v)
         object.__setattr__(self, "cells_um_per_v", rows)
         m = len(self.low_v) if self.low_v.ndim == 1 else 0
-        given = np.zeros(m) if self.working_point_v is None else self.working_point_v
-        object.__setattr__(self, "working_point_v", frozen(given))
-        refuse("preisach model", list(self._mistakes(m)))
+        refuse("preisach model", self._mistakes(m))
+        object.__setattr__(self, "working_point_v", working_point(self.working_point_v, m, self.kind))
 
     def _mistakes(self, m: int) -> list[Mistake]:
         """What is wrong with the numbers given."""
         low, high, rows = self.low_v, self.high_v, self.cells_um_per_v
         if not m or high.shape != (m,) or not (np.isfinite(low) & np.isfinite(high) & (low < high)).all():
             return [Mistake("low_v", "and high_v must be finite ends of each plane, the lower one below")]
-        rest = np.asarray(self.working_point_v)
-        if rest.shape != (m,) or not np.isfinite(rest).all():
-            return [Mistake("working_point_v", f"must be {m} finite voltages")]
         if not rows or any(len(row) != m for row in rows):
             return [Mistake("cells_um_per_v", f"must be a row of {m} triangles for each output")]
         for k, cells in enumerate(rows[0]):
@@ -201,11 +195,6 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
     def operators(self) -> tuple[tuple[int, ...], ...]:
         """Number of cells of every pair (output, input)."""
         return tuple(tuple(len(c) * (len(c) + 1) // 2 for c in row) for row in self.cells_um_per_v)
-
-    @property
-    def n_beside_weights(self) -> int:
-        """None: the planes are those of the records."""
-        return 0
 
     def describe(self) -> str:
         """Short description."""
@@ -262,11 +251,6 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
     def weights(self) -> tuple[Array, ...]:
         """Weights of each output, pair after pair, triangles row by row [um/V]."""
         return tuple(np.concatenate([c[np.tril_indices(len(c))] for c in row]) for row in self.cells_um_per_v)
-
-    @property
-    def weight_covariance(self) -> None:
-        """None: the records determine sums of cells, and the smoothness distributes them."""
-        return None
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
         """Return the same planes with other weights."""
@@ -365,21 +349,10 @@ class Preisach(Hysteresis[PreisachState], Identifiable):
             found.append(f"the Preisach plane of {name} has {len(cells)} x {len(cells)} cells")
         return found
 
-    def to_describing_function(self, range_v: float = np.inf) -> HysteresisNonlinearity:
-        """Return a block of one pair, behind a drive, as ``control.DescribingFunctionNonlinearity``.
-
-        Sines go about the working point; the first harmonic is that of the samples of the settled loop.
-
-        range_v : range of the drive, the same on both sides of the working point [V]; inf: none
-
-        Raises InputError for more than one input or output, or a range that is not above zero.
-        """
-
-        def of_amplitude(amplitude_v: float) -> complex:
-            return first_harmonic(self, amplitude_v, range_v)
-
-        soonest = np.array([0.0, 0.5 * float(self.high_v[0] - self.low_v[0])])
-        return nonlinearity_of(self, of_amplitude, soonest, range_v)
+    @property
+    def reversals_v(self) -> Array:
+        """Half of the width of a relay, from none to that of the plane; see ``Describable``."""
+        return np.array([0.0, 0.5 * float(self.high_v[0] - self.low_v[0])])
 
     def file(self) -> PreisachFile:
         """Form in a model file; the working point stands there once, with the voltages."""

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, ByValue, Indices, freeze_fields, frozen, spans
+from hammerstein.arrays import Array, ByValue, Indices, filled, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import IdentificationError, InputError, Mistake, refuse
 from hammerstein.hysteresis.identifiable import Bounds, Driven, Identifiable, Limits
@@ -25,6 +25,7 @@ from hammerstein.hysteresis.kind import (
     refuse_not_finite,
 )
 from hammerstein.hysteresis.pair import WeightCovariance, played
+from hammerstein.hysteresis.rate_dependent_kernels import play_outputs, respond_rate_dependent
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)
@@ -61,28 +62,24 @@ class RatePlays(ByValue):
 
     def __post_init__(self) -> None:
         freeze_fields(self, "thresholds_v", "growth_s")
+        refuse("rate-dependent plays", list(self._mistakes()))
+
+    def _mistakes(self) -> Iterator[Mistake]:
+        """What is wrong with the numbers given."""
         r, b = self.thresholds_v, self.growth_s
-        mistakes = []
         if r.ndim != 1 or not r.size or b.shape != r.shape:
-            mistakes.append(
-                Mistake(
-                    "growth_s", f"has shape {b.shape}, the thresholds {r.shape}; they must be equally many"
-                )
-            )
+            what = f"has shape {b.shape}, the thresholds {r.shape}; they must be equally many"
+            yield Mistake("growth_s", what)
         elif not (np.isfinite(r).all() and np.isfinite(b).all()):
-            mistakes.append(Mistake("thresholds_v", "and growth_s must be finite"))
+            yield Mistake("thresholds_v", "and growth_s must be finite")
         else:
             if (r < 0.0).any() or (np.diff(r) <= 0.0).any():
-                mistakes.append(Mistake("thresholds_v", "must be 0 or more and strictly increasing"))
+                yield Mistake("thresholds_v", "must be 0 or more and strictly increasing")
             if (b < 0.0).any() or (np.diff(b) < 0.0).any():
-                mistakes.append(
-                    Mistake(
-                        "growth_s", "must be 0 or more and not decrease, so that the plays keep their order"
-                    )
-                )
+                what = "must be 0 or more and not decrease, so that the plays keep their order"
+                yield Mistake("growth_s", what)
         if not (self.bandwidth_hz > 0.0 and 0.0 <= self.lambda_s_per_v < math.inf):
-            mistakes.append(Mistake("bandwidth_hz", "must be above 0, and lambda_s_per_v 0 or more"))
-        refuse("rate-dependent plays", mistakes)
+            yield Mistake("bandwidth_hz", "must be above 0, and lambda_s_per_v 0 or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +91,7 @@ class RateState(Memory):
     rate_v_per_s: Array
 
 
-@dataclass(frozen=True, eq=False)
-class RateBank:
+class RateBank(NamedTuple):
     """All plays of every input as the kernels want them: n (m,), r and b (m, n_max), w (m, n_max, p)."""
 
     n: Indices
@@ -233,16 +229,11 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
 
     def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
-        from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
-
         refuse_not_finite(u_v)
-        bank, y = self.bank, np.empty((self.n_outputs, u_v.shape[1]))
-        state = start.copy()
-        plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
-        memory = (state.plays_v, state.last_v, state.rate_v_per_s)
-        for first, stop in spans(u_v.shape[1], 8 * bank.w.size):
-            respond_rate_dependent(u_v, self.grid_s, self.poles, *plays, *memory, first, stop, y)
-        return y, state
+        bank, state = self.bank, start.copy()
+        memory, shape = (state.plays_v, state.last_v, state.rate_v_per_s), (self.n_outputs, u_v.shape[1])
+        given = (u_v, self.grid_s, self.poles, *bank, *memory)
+        return filled(respond_rate_dependent, *given, shape=shape, products=8 * bank.w.size), state
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops driven slowly (output, input) [um], in closed form."""
@@ -321,8 +312,6 @@ class RateDependent(Hysteresis[RateState], Identifiable):
 
     def columns(self, u_v: Array, before_v: Array, output: int, passes: int = 1) -> tuple[Array, Array]:
         """Outputs of the plays; see ``Identifiable``."""
-        from hammerstein.hysteresis.rate_dependent_kernels import play_outputs
-
         stood, values = self.after(before_v), []
         for k, plays in enumerate(self.inputs):
             n = len(plays.thresholds_v)
@@ -415,17 +404,24 @@ def stability_gain(weights: Array, growth_s: Array, poles: Array, sample_time_s:
         low, high = _mean_growth(own, growth_s[k])
         off = np.maximum(np.abs(growth_s[k] - low), np.abs(growth_s[k] - high))
         across.append(float((np.abs(others) * off).sum()))
-        sides = [
-            others[:, 0] + sign * np.maximum(sign * others[:, 1:], 0.0).sum(axis=1) for sign in (1.0, -1.0)
-        ]
-        most = np.maximum(np.abs(sides[0]), np.abs(sides[1])).sum()
-        kept.append(own[0] + np.minimum(own[1:], 0.0).sum() - most)
+        least, most = worst_shares(own, others)
+        kept.append(least - most)
         ends.append((min(low, 0.0), max(high, 0.0)))
     if min(kept) <= 0.0:
         return np.full(len(weights), np.inf)
     scale, half = (1.0 - poles) / sample_time_s, 0.5 * (1.0 + poles)
     (low, high), around = scale * np.array(ends).T, scale * np.array(across) / min(kept)
     return np.asarray(np.maximum(high + around / half, (around - low) / half))
+
+
+def worst_shares(own: Array, others: Array) -> tuple[float, float]:
+    """Least share of its own mean slope that an input keeps, and the most that it moves all others by.
+
+    own, others : (play,) and (other, play) shares of its plays, of which any may move with the first
+    """
+    highest = others[:, 0] + np.maximum(others[:, 1:], 0.0).sum(axis=1)
+    lowest = others[:, 0] + np.minimum(others[:, 1:], 0.0).sum(axis=1)
+    return own[0] + np.minimum(own[1:], 0.0).sum(), float(np.maximum(highest, -lowest).sum())
 
 
 def _mean_growth(weights: Array, growth_s: Array) -> tuple[float, float]:

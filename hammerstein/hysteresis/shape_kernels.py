@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hammerstein.compiled import compiled, helper
-from hammerstein.hysteresis.play_kernels import BLOCK, at
+from hammerstein.compiled import at, compiled, helper
+from hammerstein.hysteresis.play_kernels import BLOCK
 
 HALVINGS = 60
 """Steps in which the tangent is inverted: more than the bits of a number."""
@@ -91,32 +91,21 @@ def add_dead_zones(  # type: ignore[no-untyped-def]
     """
     q = np.empty(min(BLOCK, u.shape[1]))
     for k in range(u.shape[0]):
-        if ends.shape[1] == 1 or ends[k, 0] == np.inf:
-            if u.shape[1] > 0:
-                held[k] = _smallest(u[k], r[k], held[k], 0, u.shape[1])
-            continue
+        bent = ends[k, 0] < np.inf
         for start in range(0, u.shape[1], BLOCK):
             stop = min(start + BLOCK, u.shape[1])
-            if r[k] == 0.0:
-                held[k] = u[k, at(stop - 1)]
-                _add_lines(u[k], 0, start, stop, ends[k], slope[k], intercept[k], y, outputs)
+            if r[k] > 0.0:
+                held[k] = _smallest(u[k], r[k], held[k], start, stop, q)
+                if bent:
+                    _add_lines(q, start, start, stop, ends[k], slope[k], intercept[k], y, outputs)
             else:
-                held[k] = _smallest_block(u[k], r[k], held[k], start, stop, q)
-                _add_lines(q, start, start, stop, ends[k], slope[k], intercept[k], y, outputs)
+                held[k] = u[k, at(stop - 1)]
+                if bent:
+                    _add_lines(u[k], 0, start, stop, ends[k], slope[k], intercept[k], y, outputs)
 
 
 @helper()
-def _smallest(u, r, p, start, stop):  # type: ignore[no-untyped-def]
-    """Smallest play after samples start to stop."""
-    if r == 0.0:
-        return u[at(stop - 1)]
-    for t in range(start, stop):
-        p = max(u[at(t)] - r, min(u[at(t)] + r, p))
-    return p
-
-
-@helper()
-def _smallest_block(u, r, p, start, stop, q):  # type: ignore[no-untyped-def]
+def _smallest(u, r, p, start, stop, q):  # type: ignore[no-untyped-def]
     """Put the smallest play of samples start to stop into q; returns the last one."""
     for t in range(start, stop):
         p = max(u[at(t)] - r, min(u[at(t)] + r, p))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
@@ -42,23 +42,6 @@ class PathErrors:
         return cls(tuple(each), tuple(worst), whole, farthest)
 
 
-@dataclass(frozen=True)
-class PlaneErrors:
-    """Largest errors of the radius of a path of two axes [um], of reading and position."""
-
-    radial: float
-    radial_true: float
-
-    @classmethod
-    def of(cls, reference: Array, reading: Array, position: Array, middle: Array) -> Self:
-        """Errors of reading and position (2, sample) against a reference, all counted from a middle (2,)."""
-        from hammerstein.metrics.error_sums_kernel import plane_errors
-
-        rows = (*_rows(reference), *_rows(reading), *_rows(position))
-        radial, true = plane_errors(*rows, middle)
-        return cls(float(radial), float(true))
-
-
 def _rows(wire: Array) -> tuple[Array, ...]:
     """Rows of a wire one by one: those of a part of it lie in one piece each, the part does not."""
     return tuple(np.ascontiguousarray(row) for row in wire)
@@ -90,21 +73,6 @@ class Measured:
     middle_um: Array | None = None
 
     @cached_property
-    def error_um(self) -> Array | None:
-        """Reading minus reference or prediction (output, sample) [um]."""
-        return None if self.target_reading_um is None else self.reading_um - self.target_reading_um
-
-    @cached_property
-    def true_error_um(self) -> Array | None:
-        """True position minus reference or prediction (output, sample) [um]."""
-        return None if self.target_position_um is None else self.position_um - self.target_position_um
-
-    @cached_property
-    def true_distance_um(self) -> Array | None:
-        """Distance (sample,) of the true position from reference or prediction [um]."""
-        return None if self.true_error_um is None else euclidean(self.true_error_um)
-
-    @cached_property
     def errors(self) -> PathErrors | None:
         """How far the reading is from what it is compared with; None where there is nothing."""
         target = self.target_reading_um
@@ -117,11 +85,15 @@ class Measured:
         return None if target is None else PathErrors.of(self.position_um, target)
 
     @cached_property
-    def in_the_plane(self) -> PlaneErrors | None:
-        """Reading and position against the path that was asked for; None where that has not two axes."""
+    def in_the_plane(self) -> tuple[float, float] | None:
+        """Largest errors of the radius [um], of reading and position; None where a path has not two axes."""
+        from hammerstein.metrics.error_sums_kernel import plane_errors
+
         if self.reference_um is None or len(self.reference_um) != 2:
             return None
-        return PlaneErrors.of(self.reference_um, self.reading_um, self.position_um, self.middle)
+        wires = (self.reference_um, self.reading_um, self.position_um)
+        radial, true = plane_errors(*(row for wire in wires for row in _rows(wire)), self.middle)
+        return float(radial), float(true)
 
     @property
     def middle(self) -> Array:
@@ -240,9 +212,9 @@ for _of, _true, _read in (("errors", "", "reading"), ("true_errors", "_true", "t
 def euclidean_max_unsaturated_um(m: Measured) -> Values:
     if m.true_errors is None or not m.saturated.any():
         return None if m.true_errors is None else m.true_errors.distance_worst
-    if m.true_distance_um is None or not m.unsaturated.any():
+    if m.target_position_um is None or not m.unsaturated.any():
         return None
-    return worst(m.true_distance_um[m.unsaturated])
+    return worst(euclidean(m.position_um - m.target_position_um)[m.unsaturated])
 
 
 @metric(
@@ -250,12 +222,12 @@ def euclidean_max_unsaturated_um(m: Measured) -> Values:
     "the middle of the path"
 )
 def radial_max_um(m: Measured) -> Values:
-    return None if m.in_the_plane is None else m.in_the_plane.radial
+    return None if m.in_the_plane is None else m.in_the_plane[0]
 
 
 @metric("largest error of the radius of a path, for the true position [um]")
 def radial_max_true_um(m: Measured) -> Values:
-    return None if m.in_the_plane is None else m.in_the_plane.radial_true
+    return None if m.in_the_plane is None else m.in_the_plane[1]
 
 
 @metric("mean error of the true position over the last cycle minus that over the first [um]")
@@ -263,47 +235,33 @@ def drift_true_um(m: Measured) -> Values:
     if m.target_position_um is None or m.cycle_samples is None:
         return None
     n = m.cycle_samples
-    ends = [m.position_um[:, part] - m.target_position_um[:, part] for part in (slice(n), slice(-n, None))]
-    return [float(value) for value in drift(np.concatenate(ends, axis=1), n)]
+    first, last = (m.position_um[:, part] - m.target_position_um[:, part] for part in np.s_[:n, -n:])
+    return [float(value) for value in last.mean(axis=1) - first.mean(axis=1)]
 
 
-@metric(
-    "height of the loop from its lowest to its highest point, twice the amplitude; for a "
-    "cross-coupling, its whole range [um]"
-)
-def height_um(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.height_um)
+def _loops(m: Measured, name: str) -> Values:
+    return None if m.loops is None else [getattr(loop, name) for loop in m.loops]
 
 
-@metric("width of the loop at the middle of its input's range [um]")
-def width_um(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.width_um)
-
-
-@metric("width divided by height [%]", ratio_of="height_um")
-def width_percent(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.width_percent)
-
-
-@metric(
-    "first harmonic of the reading divided by that of the driven quantity [um/V, or um/um for a reference]"
-)
-def gain(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.gain)
-
-
-@metric("phase of the same ratio; negative if the reading lags [deg]", ratio_of="gain")
-def phase_deg(m: Measured) -> Values:
-    return _loops(m, lambda loop: loop.phase_deg)
+_FIRST = "first harmonic of the reading divided by that of the driven quantity"
+for _name, _ratio_of, _meaning in (
+    (
+        "height_um",
+        None,
+        "height of the loop from its lowest to its highest point, twice the amplitude; for a cross-coupling, "
+        "its whole range [um]",
+    ),
+    ("width_um", None, "width of the loop at the middle of its input's range [um]"),
+    ("width_percent", "height_um", "width divided by height [%]"),
+    ("gain", None, f"{_FIRST} [um/V, or um/um for a reference]"),
+    ("phase_deg", "gain", "phase of the same ratio; negative if the reading lags [deg]"),
+):
+    METRICS[_name] = Metric(_name, _meaning, partial(_loops, name=_name), ratio_of=_ratio_of)
 
 
 @metric("number of samples in which the drive's range clipped the voltage", exact=True)
 def saturated_samples(m: Measured) -> Values:
     return int(np.count_nonzero(m.saturated))
-
-
-def _loops(m: Measured, of: Callable[[LoopFigures], float | None]) -> Values:
-    return None if m.loops is None else [of(loop) for loop in m.loops]
 
 
 @dataclass(frozen=True)
@@ -360,13 +318,3 @@ class Row(Keyed):
         """Everything in the row by name, None where a figure has no meaning."""
         names = (*(metric.name for metric in metrics_of()), *self.figures)
         return self.key() | {name: self.figures.get(name) for name in names}
-
-
-def drift(error: Array, samples_a_cycle: int) -> Array:
-    """Mean error of the last cycle minus that of the first (axis,), from the error (axis, sample).
-
-    >>> drift(np.array([[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]]), 2)
-    array([4.])
-    """
-    first, last = error[:, :samples_a_cycle], error[:, -samples_a_cycle:]
-    return np.asarray(last.mean(axis=1) - first.mean(axis=1))

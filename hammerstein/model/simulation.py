@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from hammerstein.blocks.block_system import BlockSystem
 
 Wire = Literal["reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um"]
-OF_INPUTS = ("requested_v", "drive_v", "saturated")
-OF_OUTPUTS = ("reference_um", "hysteresis_um", "position_um", "reading_um")
 WIRES = ("reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um")
 """In the order of the block diagram."""
 
@@ -139,7 +137,7 @@ class Response(NotebookRepr):
             wire: Array | None = getattr(self, name)
             if wire is not None:
                 quantity, unit = name.rsplit("_", 1)
-                axes = (self.inputs if name in OF_INPUTS else self.outputs) or range(1, len(wire) + 1)
+                axes = (self.inputs if unit == "v" else self.outputs) or range(1, len(wire) + 1)
                 columns |= {
                     column(quantity, str(axis), unit): row for axis, row in zip(axes, wire, strict=True)
                 }
@@ -162,10 +160,20 @@ class Response(NotebookRepr):
 
         Raises InputError for a reference that this run does not have.
         """
-        from hammerstein.blocks.block_system import time_response
+        import control
 
         given: tuple[Wire, ...] = ("drive_v",) if self.reference_um is None else ("reference_um",)
-        return time_response(self.time_s, self._signals(outputs), self._signals(inputs or given))
+        leaving, entering = self._signals(outputs), self._signals(inputs or given)
+        return control.TimeResponseData(
+            self.time_s,
+            np.array(list(leaving.values())),
+            inputs=np.array(list(entering.values())),
+            output_labels=list(leaving),
+            input_labels=list(entering),
+            issiso=False,
+            title="Response",
+            sysname="actuator",
+        )
 
     def _signals(self, wires: Sequence[str]) -> dict[str, Array]:
         """Signals of some wires by the names that systems give them, ``drive_v[0]`` and so on."""
@@ -416,23 +424,19 @@ class Plant:
 
         Raises InputError for a wire that does not leave the plant.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise
 
-        inside = ("reference_um", "requested_v", "saturated")
-        counts = dict.fromkeys(OF_OUTPUTS, self.model.hysteresis.n_outputs)
-        counts["drive_v"] = self.model.hysteresis.n_inputs
-        unknown = [wire for wire in outputs if wire not in counts or wire in inside]
+        m, p = self.model.hysteresis.n_inputs, self.model.hysteresis.n_outputs
+        counts = {"drive_v": m, "hysteresis_um": p, "position_um": p, "reading_um": p}
+        unknown = [wire for wire in outputs if wire not in counts]
         if unknown or not outputs:
-            leaving = ", ".join(wire for wire in WIRES if wire not in inside)
-            raise InputError(
-                "outputs", f"{', '.join(unknown) or 'nothing'} is not an output; give some of {leaving}"
-            )
+            what = f"{', '.join(unknown) or 'nothing'} is not an output; give some of {', '.join(counts)}"
+            raise InputError("outputs", what)
 
         def step(requested_v: Array, state: PlantState) -> tuple[Array, PlantState]:
             response, after = self.carry_on(requested_v[:, None], state)
             return np.concatenate([getattr(response, wire)[:, 0] for wire in outputs]), after
 
         block = Stepwise(self.rest(np.atleast_1d(seed).tolist()), step, PlantState.as_dict, self.restore)
-        wires = [label for wire in outputs for label in signals(wire, counts[wire])]
-        voltages = signals("requested_v", self.model.hysteresis.n_inputs)
-        return BlockSystem(block, voltages, wires, self.sample_time_s, name)
+        wires: dict[str, int] = {wire: counts[wire] for wire in outputs}
+        return BlockSystem(block, {"requested_v": m}, wires, self.sample_time_s, name)

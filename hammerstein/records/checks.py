@@ -106,13 +106,12 @@ def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
     low, high = VOLTAGE_RANGE if kind == "input" else DISPLACEMENT_RANGE
     if low <= span <= high:
         return None
-    unit = "V" if kind == "input" else "um"
-    if kind == "input":
-        remedy = (
-            "--input-scale 1e3 if the file is in kV" if span < low else "--input-scale 1e-3 if it is in mV"
-        )
-    else:
-        remedy = "--units m or --units mm" if span < low else "--units nm"
+    unit, too_small, too_large = (
+        ("V", "--input-scale 1e3 if the file is in kV", "--input-scale 1e-3 if it is in mV")
+        if kind == "input"
+        else ("um", "--units m or --units mm", "--units nm")
+    )
+    remedy = too_small if span < low else too_large
     return Mistake(place, f"covers {span:.3g} {unit}, which is impossible; try {remedy}")
 
 

@@ -1,7 +1,7 @@
 """Gain from each voltage to each output, which reveals wrong units."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,7 @@ SWING = 0.05
 """Part of the range that a voltage goes back where it turns."""
 
 
-@dataclass(frozen=True)
-class Gain:
+class Gain(NamedTuple):
     """Gain of one pair over all records.
 
     Parameters

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,7 @@ NO_RECORDS = (".json", ".toml")
 PARQUET = (".parquet", ".pq")
 
 
-@dataclass(frozen=True, eq=False)
-class Columns:
+class Columns(NamedTuple):
     """Columns taken from one file.
 
     Parameters
@@ -70,8 +69,7 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     ------
     InputError : a missing, empty or unreadable file, unknown columns (with the names that exist)
     """
-    path = Path(path)
-    refuse_missing(path)
+    path = refuse_missing(Path(path))
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         values, stated = array_columns(path, wanted)
@@ -114,8 +112,7 @@ class Header:
         ------
         InputError : a missing, empty or unreadable file
         """
-        path = Path(path)
-        refuse_missing(path)
+        path = refuse_missing(Path(path))
         suffix = path.suffix.lower()
         if suffix in SUFFIXES:
             arrays = {name: found.unit for name, found in variables_of(path).items() if name}
@@ -179,15 +176,14 @@ def read_array(path: str | Path, variable: str | None = None) -> Array:
     ------
     InputError : a missing or unreadable file, an unknown variable (with the names that exist)
     """
-    path = Path(path)
-    refuse_missing(path)
+    path = refuse_missing(Path(path))
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(str(path), f"is not a file of arrays; give one of {', '.join(SUFFIXES)}")
     return whole_array(path, variable or "")
 
 
-def refuse_missing(path: Path) -> None:
-    """Refuse what is no file with something in it that may be read: a pipe would be waited for.
+def refuse_missing(path: Path) -> Path:
+    """Return a path, and refuse one of no file with something in it that may be read, such as a pipe.
 
     Models, reports and scenarios are refused, too.
     """
@@ -205,6 +201,7 @@ def refuse_missing(path: Path) -> None:
             raise InputError(str(path), what)
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({(error.strerror or str(error)).lower()})") from None
+    return path
 
 
 def _columns(

@@ -67,13 +67,14 @@ def read_records(
     """
     if paths and not isinstance(paths, str | Path):
         inputs, outputs, time = _chosen(paths[0], inputs, outputs, rate_hz, time)
-    inputs, outputs = inputs or (), outputs or ()
-    _refuse_arguments(paths, inputs, outputs, rate_hz, time, input_scale, output_scale)
-    m, p, wanted = len(inputs), len(outputs), [*inputs, *outputs, *([time] if time is not None else [])]
+    inputs, outputs, times = inputs or (), outputs or (), [] if time is None else [time]
+    chosen, scales = {"inputs": inputs, "outputs": outputs, "time": times}, (input_scale, output_scale)
+    _refuse_arguments(paths, chosen, rate_hz, scales)
+    m, p, wanted = len(inputs), len(outputs), [*inputs, *outputs, *times]
 
     def read(path: PathLike) -> Record:
         columns = read_columns(path, wanted)
-        found, factors = _factors_of(columns, m, p, (input_scale, output_scale))
+        found, factors = _factors_of(columns, m, p, scales)
         late, step = _sample_time_of(columns) if rate_hz is None else ([], 1.0 / rate_hz)
         refuse(columns.source, [*columns.mistakes, *found, *late])
         values = factors[:, None] * columns.values[: m + p]
@@ -120,29 +121,27 @@ def _chosen(
 
 def _refuse_arguments(
     paths: Sequence[PathLike],
-    inputs: Sequence[str],
-    outputs: Sequence[str],
+    chosen: Mapping[str, Sequence[str]],
     rate_hz: float | None,
-    time: str | None,
-    input_scale: float | None,
-    output_scale: float | None,
+    scales: tuple[float | None, float | None],
 ) -> None:
+    """Refuse arguments that do not fit together; the columns are ``chosen`` as inputs, outputs and time."""
     mistakes = []
     if isinstance(paths, str | Path):
         mistakes.append(Mistake("paths", "give a list of files"))
     elif not paths:
         mistakes.append(Mistake("paths", "no file was given"))
-    for kind, columns in (("inputs", inputs), ("outputs", outputs)):
-        if isinstance(columns, str) or not columns:
+    for kind in ("inputs", "outputs"):
+        if isinstance(chosen[kind], str) or not chosen[kind]:
             mistakes.append(Mistake(kind, "give a list of at least one column"))
-    mistakes += _named_twice({"inputs": inputs, "outputs": outputs, "time": [] if time is None else [time]})
-    if (rate_hz is None) == (time is None):
+    mistakes += _named_twice(chosen)
+    if (rate_hz is None) == (not chosen["time"]):
         mistakes.append(
             Mistake("rate or time", "give one of them: the rate in Hz (--rate) or a column (--time)")
         )
     if rate_hz is not None and not RATE_HZ.holds(rate_hz):
         mistakes.append(Mistake("rate (--rate)", f"is {rate_hz:g} Hz; it {RATE_HZ.words()}"))
-    for name, scale in (("input scale", input_scale), ("output scale", output_scale)):
+    for name, scale in zip(("input scale", "output scale"), scales, strict=True):
         if scale is not None and (not SCALE.holds(scale) or scale == 0):
             option = f"{name} (--{name.replace(' ', '-')})"
             mistakes.append(Mistake(option, f"is {scale:g}; it {SCALE.words()}, and not 0"))
@@ -269,7 +268,8 @@ def read_paired_records(
     if set(axes) - set(AXES) or len(set(axes)) != len(axes) or "sample" not in axes:
         what = f"are {', '.join(axes)}; name sample, and each of {', '.join(AXES[1:])} once"
         raise InputError("axes", what)
-    _refuse_arguments([u_file], ["u"], ["y"], rate_hz, None, input_scale, output_scale)
+    chosen = {"inputs": ["u"], "outputs": ["y"], "time": []}
+    _refuse_arguments([u_file], chosen, rate_hz, (input_scale, output_scale))
     u = _by_experiment(read_array(u_file, variables[0]), axes, str(u_file))
     y = _by_experiment(read_array(y_file, variables[1]), axes, str(y_file))
     source = f"{u_file} and {Path(y_file).name}"

@@ -1,7 +1,6 @@
 """Turning points of a voltage, and small excursions on larger branches."""
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -171,8 +170,7 @@ class Excursion(NamedTuple):
     minor: bool
 
 
-@dataclass(frozen=True)
-class Cycles:
+class Cycles(NamedTuple):
     """The closed pieces of one voltage record, in the order in which they start.
 
     Parameters

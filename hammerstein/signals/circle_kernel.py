@@ -4,9 +4,7 @@ import math
 
 import numpy as np
 
-from hammerstein.compiled import compiled
-
-at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
+from hammerstein.compiled import at, compiled
 
 # Of the sine's power series behind its first term: within a quarter turn the next one is below 1e-18.
 C3, C5, C7, C9, C11, C13, C15, C17, C19, C21 = ((-1) ** n / math.factorial(2 * n + 1) for n in range(1, 11))

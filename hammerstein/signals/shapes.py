@@ -226,6 +226,7 @@ class Spiral(OneFrequency):
     """Circle until the trigger; then its radius decays as exp(-t / tau) (paper, section 5.4)."""
 
     pointwise: ClassVar[bool] = True
+    repeats: ClassVar[bool] = False  # its cycles shrink
 
     kind: Literal["spiral"] = "spiral"
     radius: Size = Field(description="radius before the decay, in the unit of the key")
@@ -237,11 +238,6 @@ class Spiral(OneFrequency):
         _require_two_axes(n_axes, "spiral")
         decay = np.exp(-np.maximum(time_s - self.trigger_s, 0.0) / self.decay_s)
         return np.asarray(self.radius * decay * _round(time_s, 1.0, self.frequency_hz, self.phase_deg))
-
-    @property
-    def repeats(self) -> bool:
-        """Its cycles shrink."""
-        return False
 
 
 class Lissajous(Shape):
@@ -355,6 +351,7 @@ class FromFile(Shape):
 
     periodic: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
+    highest_frequency_hz: ClassVar[float] = 0.0  # a file names no frequency
 
     kind: Literal["file"] = "file"
     path: FileName = Field(description="CSV file: time_s and one column for each axis, in their order")
@@ -385,11 +382,6 @@ class FromFile(Shape):
         """Length of the file."""
         times, _, _ = self.table()
         return float(times[-1] - times[0])
-
-    @property
-    def highest_frequency_hz(self) -> float:
-        """Zero: a file names no frequency."""
-        return 0.0
 
 
 def _require_two_axes(n_axes: int, kind: str) -> None:

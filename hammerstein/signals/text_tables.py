@@ -10,7 +10,6 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -62,8 +61,7 @@ GROUPED = {
 WORD_WITH_UNIT = re.compile(r"\S+(?:\s+[\[(][^\])]*[\])])?")
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     """Layout of the numbers in a text file.
 
     Parameters

@@ -397,8 +397,7 @@ def test_noise_is_named_from_ten_times_that_of_the_path_and_a_thousandth_of_the_
     wave, rough = np.sin(2.0 * np.pi * 10.0 * t), rng.standard_normal((2, 4000))
     found = HammersteinModel.load("duo_bimorph_static").compensate(20.0 * np.stack([wave, wave]))
     path, drive = 40.0 * (0.5 * wave + noise * rough), 8.0 * (0.5 * wave + ratio * noise * rough)
-    attempt = dataclasses.replace(found.attempt, reference_um=path, drive_v=drive, lead=0)
-    told = dataclasses.replace(found, attempt=attempt)
+    told = dataclasses.replace(found, reference_um=path, drive_v=drive, lead=0)
     assert ("amplifies rounding" in " ".join(told.essentials())) == said
 
 

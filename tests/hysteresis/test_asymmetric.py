@@ -183,7 +183,7 @@ def test_a_model_refuses_other_pairs_and_voltages_that_are_not_finite():
     plays = PrandtlIshlinskii([[Pair.linear(1.0)]])
     with pytest.raises(InputError, match="one for each pair"):
         Asymmetric(plays, [[DeadZones.absent()] * 2])
-    with pytest.raises(InputError, match="working point"):
+    with pytest.raises(InputError, match="working_point_v"):
         Asymmetric(plays, [[DeadZones.absent()]], [0.0, 1.0])
     with pytest.raises(SimulationError, match="sample 1"):
         Asymmetric(plays, [[DeadZones([0.0], [1.0])]]).respond([[0.0, np.nan]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, singledispatch
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -11,11 +12,12 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from hammerstein.arrays import Array, spans
+from hammerstein.arrays import Array, filled
 from hammerstein.blocks import Memory
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.law import Law, S
 from hammerstein.compensators.base import Compensator
+from hammerstein.compensators.exact import piece_kernels as at
 from hammerstein.dynamics import linear
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, Hysteresis, PrandtlIshlinskii, play
@@ -61,8 +63,6 @@ class Tables(NamedTuple):
 
 def tables(m: int, rows: int) -> Tables:
     """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
-    from hammerstein.compensators.exact import piece_kernels as at
-
     return Tables(np.zeros((m, rows), at.of_rows(m)), np.zeros(m, at.of_inputs(m)))
 
 
@@ -149,6 +149,22 @@ class ZonesInverse(StaticInverse[DriveState]):
     def _room(self, run_anyway: bool) -> tuple[int, float, Array]:
         """Room for the zones of an input, size of the voltages [V], and gain (m, row) [um/V]."""
 
+    @abstractmethod
+    def _loop(self, state: Any) -> tuple[Callable[..., None], int, tuple[Any, ...]]:
+        """Compiled loop, the work of a sample, and what the loop takes of the block; a memory it moves on."""
+
+    def solve(
+        self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None
+    ) -> tuple[Array, DriveState, Array]:
+        """See ``StaticInverse.solve``."""
+        left, state, wanted = away.copy(), start.model.copy(), np.ascontiguousarray(v_um)
+        back, (w, here) = recovery or Recovery.none(self.n_outputs), self.design_tables()
+        w["x"][:, 0] = start.drive_v
+        loop, work, own = self._loop(state)
+        given, shape = (wanted, *back, left, w, here, *own), (self.n_inputs, wanted.shape[1])
+        drive = filled(loop, *given, shape=shape, products=work)
+        return drive, DriveState(state, w["x"][:, 0].copy()), left
+
 
 class ExactInverseLaw(StaticInverse[ExactState]):
     """Solves ``Gamma(U) = Y_r`` in every sample by walking the affine pieces of the model.
@@ -212,7 +228,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self.square, self.smallest_v = completed(hysteresis, model.amplitude_v)
         self._design = self._new_design()
         self._start, self.origin_um = self._at_start()
-        self._frame = self._frame_of_steps()
 
     @cached_property
     def _compiled_step(self) -> Any:
@@ -248,8 +263,6 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         The stacks of segments are those of the forward model behind the smallest plays: for an actuator that
         was never driven one segment an input, nothing engaged. What has no output keeps its value.
         """
-        from hammerstein.compensators.exact import piece_kernels as at
-
         m, history = self.n_inputs, self.range.history()
         q = np.stack([play(u, [r])[0] for u, r in zip(history, self.smallest_v, strict=True)])
         rows, memory = self.square.respond(q) if q.any() else (np.zeros((m, 1)), self.square.rest())
@@ -277,10 +290,9 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
 
         p, v_um = self.n_outputs, np.ascontiguousarray(v_um)  # of one type: it is compiled once
-        drive, back = np.empty((self.n_inputs, v_um.shape[1])), recovery or Recovery.none(p)
         left, (w, here) = away.copy(), loaded(*self._design, start.stack, start.hand)
-        for first, end in spans(v_um.shape[1]):
-            respond_exact(v_um, self.n_inputs - p, *back, left, w, here, first, end, drive)
+        given = (v_um, self.n_inputs - p, *(recovery or Recovery.none(p)), left, w, here)
+        drive = filled(respond_exact, *given, shape=(self.n_inputs, v_um.shape[1]))
         after = ExactState(np.empty(start.stack.shape), np.empty(start.hand.shape))
         unloaded(w, here, after.stack, after.hand)
         return drive, after, left

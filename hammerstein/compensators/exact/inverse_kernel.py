@@ -40,8 +40,7 @@ from hammerstein.compensators.exact.piece_kernels import (
     push,
 )
 from hammerstein.compensators.kernels import from_rest, to_sent
-from hammerstein.compiled import compiled, helper
-from hammerstein.hysteresis.play_kernels import at
+from hammerstein.compiled import at, compiled, helper
 
 GONE = 1e-12
 """State of a recovery [um] that is as good as zero."""
@@ -62,11 +61,7 @@ def respond_exact(reference, virtual, a, b, gain, x, w, here, first, stop, drive
         away = away or x[s] != 0.0
     ready = resume(w, here)
     for t in range(first, stop):
-        for o in range(p):
-            here[o].y = reference[o, at(t)]
-            if away:
-                for s in range(x.shape[0]):
-                    here[o].y -= gain[o, s] * x[s]
+        ask(reference, t, gain, x, away, here)
         if not (ready and stay(w, here)):
             ready = walk(ready, virtual, w, here)
             for o in range(p):
@@ -120,6 +115,16 @@ def unloaded(w, here, stack, hand):  # type: ignore[no-untyped-def]
             for o in range(axes_of(here)):
                 stack[k, s, BELOW + o] = w[k, s].below[o]
         hand[k, COUNT], hand[k, WANTED], hand[k, RAMP] = here[k].count, here[k].wanted, here[k].ramp
+
+
+@helper(error_model="numpy", forceinline=True)
+def ask(reference, t, gain, x, away, here):  # type: ignore[no-untyped-def]
+    """Put what sample t asks for into the rows; while a linear block is away by x, what brings it back."""
+    for o in range(reference.shape[0]):
+        here[o].y = reference[o, at(t)]
+        if away:
+            for s in range(x.shape[0]):
+                here[o].y -= gain[o, s] * x[s]
 
 
 @helper(error_model="numpy")

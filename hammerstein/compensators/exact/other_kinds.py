@@ -1,14 +1,15 @@
 """The exact inverses of generalised, Preisach and rate-dependent hysteresis."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from hammerstein.arrays import Array, spans
+from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange, RangeLike
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.compensators.exact.inverse import (
-    DriveState,
     ExactInverseLaw,
     ExactState,
     Recovery,
@@ -17,7 +18,7 @@ from hammerstein.compensators.exact.inverse import (
     exact_inverse_of,
 )
 from hammerstein.errors import SimulationError
-from hammerstein.hysteresis import Generalised, Preisach, RateDependent
+from hammerstein.hysteresis import Generalised, Preisach, PreisachState, RateDependent, RateState
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.model import HammersteinModel
 
@@ -107,21 +108,12 @@ class PreisachInverseLaw(ZonesInverse):
         largest_v = float(np.maximum(np.abs(planes.low), np.abs(planes.high)).max())
         return most_pieces(int(planes.cells.max()), turns), largest_v, np.abs(planes.beyond.sum(axis=1))
 
-    def solve(
-        self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None
-    ) -> tuple[Array, DriveState, Array]:
-        """Drive (m, N) for outputs (p, N) of the static block; see ``StaticInverse.solve``."""
+    def _loop(self, state: PreisachState) -> tuple[Callable[..., None], int, tuple[Any, ...]]:
+        """See ``ZonesInverse._loop``."""
         from hammerstein.compensators.exact.zones_kernel import respond_exact_preisach
 
-        drive, own = np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.planes
-        back = recovery or Recovery.none(self.n_outputs)
-        (w, here), left, after = self.design_tables(), away.copy(), start.copy()
-        planes = (own.rest, own.low, own.high, own.size, own.cells, own.node, own.beyond)
-        memory = (after.model.count, after.model.x, after.model.tip, after.model.last, after.drive_v)
-        wanted, work = np.ascontiguousarray(v_um), 64 * self.n_inputs**2
-        for first, stop in spans(wanted.shape[1], work):
-            respond_exact_preisach(wanted, *back, left, w, here, planes, memory, first, stop, drive)
-        return drive, after, left
+        memory = (state.count, state.x, state.tip, state.last)
+        return respond_exact_preisach, 64 * self.n_inputs**2, (tuple(self.hysteresis.planes), memory)
 
 
 def most_pieces(cells: int, turns: int) -> int:
@@ -172,23 +164,13 @@ class RateDependentInverseLaw(ZonesInverse):
             "gain of the stability limit."
         )
 
-    def solve(
-        self, v_um: Array, start: DriveState, away: Array, recovery: Recovery | None = None
-    ) -> tuple[Array, DriveState, Array]:
-        """Drive (m, N) for outputs (p, N) of the static block; see ``StaticInverse.solve``."""
+    def _loop(self, state: RateState) -> tuple[Callable[..., None], int, tuple[Any, ...]]:
+        """See ``ZonesInverse._loop``."""
         from hammerstein.compensators.exact.zones_kernel import respond_exact_rate
 
-        drive, bank = np.empty((self.n_inputs, v_um.shape[1])), self.hysteresis.bank
-        back = recovery or Recovery.none(self.n_outputs)
-        (w, here), left, state = self.design_tables(), away.copy(), start.model.copy()
-        w["x"][:, 0] = start.drive_v
-        grid = (self.hysteresis.grid_s, self.hysteresis.poles)
-        plays = (bank.n, bank.r, bank.b, bank.lam, bank.w)
+        bank, grid = self.hysteresis.bank, (self.hysteresis.grid_s, self.hysteresis.poles)
         memory = (state.plays_v, state.last_v, state.rate_v_per_s)
-        wanted, work = np.ascontiguousarray(v_um), 64 * bank.w.size
-        for first, stop in spans(wanted.shape[1], work):
-            respond_exact_rate(wanted, *back, left, w, here, grid, plays, memory, first, stop, drive)
-        return drive, DriveState(state, w["x"][:, 0].copy()), left
+        return respond_exact_rate, 64 * bank.w.size, (grid, tuple(bank), memory)
 
 
 exact_inverse_of.register(RateDependent, RateDependentInverseLaw)

@@ -13,7 +13,7 @@ the walk of ``inverse_kernel`` as dead-zones beside a single play of threshold a
 
 import numpy as np
 
-from hammerstein.compensators.exact.inverse_kernel import drift, walk
+from hammerstein.compensators.exact.inverse_kernel import ask, drift, walk
 from hammerstein.compiled import compiled, helper
 from hammerstein.hysteresis.preisach_kernels import branch, level_below, moved
 from hammerstein.hysteresis.rate_dependent_kernels import next_rate, threshold
@@ -29,24 +29,20 @@ def respond_exact_preisach(  # type: ignore[no-untyped-def]
 
     a, b, gain, away : linear block behind it, as for ``respond_exact``
     plane : rest, low, high, size, cells, node, beyond of the forward loop
-    memory : count, x, tip, last of it, and the last voltages (m,)
+    memory : count, x, tip, last of it; the last voltages stand in the tables
     """
     rest, low, high, size, cells, node, _ = plane
-    count, x, tip, last, sent = memory
+    (count, x, tip, last), sent = memory, w["x"][:, 0].copy()
     m, p = drive.shape[0], reference.shape[0]
     new, off = np.empty(away.shape[0]), False
     value, slope, ends = np.empty(p), np.empty(p), np.empty((m, 2))
     for s in range(away.shape[0]):
         off = off or away[s] != 0.0
     for t in range(first, stop):
-        for o in range(p):
-            here[o].y = reference[o, t]
-            if off:
-                for s in range(away.shape[0]):
-                    here[o].y -= gain[o, s] * away[s]
+        ask(reference, t, gain, away, off, here)
         for most in (1, w.shape[1]):
             for k in range(m):
-                _map(w, here, k, most, plane, memory, value, slope, ends)
+                _map(w, here, k, most, plane, memory, sent[k], value, slope, ends)
             walk(False, 0, w, here)
             if _holds(here, ends):
                 break
@@ -74,13 +70,14 @@ def _holds(here, ends):  # type: ignore[no-untyped-def]
 
 
 @helper(error_model="numpy")
-def _map(w, here, k, most, plane, memory, value, slope, ends):  # type: ignore[no-untyped-def]
+def _map(w, here, k, most, plane, memory, sent, value, slope, ends):  # type: ignore[no-untyped-def]
     """Put the map of input k into its zones, so many pieces on each side at most, and where it stands.
 
+    sent : its last voltage
     ends : (m, 2) lowest and highest voltage that the map holds, overwritten
     """
     rest, low, high, size, cells, node, _ = plane
-    count, x, tip, last, sent = memory
+    count, x, tip, last = memory
     top, i = count[k] - 1, level_below(last[k], low[k], size[k], cells[k])
     rises = top % 2 == 0
     begin = branch(k, x[k, top], tip[k, top], rises, i, low, size, cells, node, value, slope)
@@ -92,11 +89,11 @@ def _map(w, here, k, most, plane, memory, value, slope, ends):  # type: ignore[n
         for o in range(home.shape[0]):
             one.zone_slope[o], other.zone_slope[o] = other.zone_slope[o], one.zone_slope[o]
             one.zone_start[o], other.zone_start[o] = other.zone_start[o], one.zone_start[o]
-    w[k, down - 1].zone_end = min(max(sent[k], low[k] - rest[k]), high[k] - rest[k])
+    w[k, down - 1].zone_end = min(max(sent, low[k] - rest[k]), high[k] - rest[k])
     up = _side(w, k, down, most, True, plane, memory, value, slope, home, ends)
     w[k, down + up - 1].zone_end = np.inf
-    w[k, 0].end, w[k, 0].x, w[k, 0].d = 1, sent[k], 1.0 if rises else -1.0
-    here[k].count, here[k].wanted, here[k].ramp, here[k].fixed = 1, sent[k], 1.0, -1
+    w[k, 0].end, w[k, 0].x, w[k, 0].d = 1, sent, 1.0 if rises else -1.0
+    here[k].count, here[k].wanted, here[k].ramp, here[k].fixed = 1, sent, 1.0, -1
 
 
 @helper(error_model="numpy")
@@ -106,7 +103,7 @@ def _side(w, k, row, most, rises, plane, memory, value, slope, home, ends):  # t
     home : (p,) outputs at the last voltage
     """
     rest, low, high, size, cells, node, beyond = plane
-    count, x, tip, last, _ = memory
+    count, x, tip, last = memory
     top, pieces, at = count[k] - 1, 0, home.copy()
     s = top if (top % 2 == 0) == rises else top + 1
     turn, origin = (x[k, s], tip[k, s]) if s <= top else (last[k], home)
@@ -162,11 +159,7 @@ def respond_exact_rate(reference, a, b, gain, x, w, here, grid, bank, memory, fi
                 reach[k, i] = threshold(k, i, r, grow, lam, rate)
             _zones_of(w, k, n[k], plays, reach, weights, events, owner, bend, order)
             here[k].wanted = w[k, 0].x
-        for o in range(p):
-            here[o].y = reference[o, t]
-            if away:
-                for s in range(x.shape[0]):
-                    here[o].y -= gain[o, s] * x[s]
+        ask(reference, t, gain, x, away, here)
         walk(False, 0, w, here)
         for o in range(p):
             away = away or (here[o].missed != 0.0 and x.shape[0] > 0)

@@ -76,14 +76,11 @@ class FeedbackLoop(ByValue):
 
     @cached_property
     def frequency_hz(self) -> Array:
-        """Frequencies up to half the sample rate, dense about every resonance of the plant."""
-        return self._grid(np.linalg.eigvals(self.plant.A).astype(complex))
+        """Frequencies of one ratio up to half the sample rate, and closer together close to each resonance.
 
-    def _grid(self, poles: Complex) -> Array:
-        """Frequencies of one ratio, and about each resonance closer together the closer they are to it.
-
-        poles : of the z plane; the half width of a resonance is -ln|z| / T
+        The half width of a resonance with a pole z is -ln|z| / T.
         """
+        poles = np.linalg.eigvals(self.plant.A).astype(complex)
         slow = np.abs(poles - 1.0)
         slowest = min(slow[slow > 1e-12].min(initial=1.0), 1e-5 * np.pi)
         angles = [np.geomspace(0.1 * slowest, np.pi, POINTS)]
@@ -97,13 +94,11 @@ class FeedbackLoop(ByValue):
 
     def _reading(self, frequency_hz: Array) -> Complex:
         """Response (frequency, p, p) from what the hysteresis should give to the reading."""
-        if frequency_hz is self.frequency_hz:
-            return self._on_grid
         return self._shift(frequency_hz)[:, None, None] * self.plant.response(frequency_hz)
 
     @cached_property
     def _on_grid(self) -> Complex:
-        return self._reading(self.frequency_hz.copy())
+        return self._reading(self.frequency_hz)
 
     def _shift(self, frequency_hz: Array) -> Complex:
         """Delay of one sample, 1 / z."""
@@ -124,10 +119,6 @@ class FeedbackLoop(ByValue):
         own = self.slopes[:, o, o]
         ends = self.slopes[[int(np.argmin(own)), int(np.argmax(own))], :, o]
         return np.asarray(ends @ self._on_grid[:, o].T)
-
-    def peak_hz(self, o: int) -> float:
-        """Frequency where an output responds most to its own correction."""
-        return float(self.frequency_hz[int(np.argmax(np.abs(self.alone(o)).max(axis=0)))])
 
     def crossover_hz(self, o: int, gains: Gains) -> float:
         """Frequency where the gain of a loop falls to 1 for good; 0 if it never reaches 1.
@@ -262,7 +253,8 @@ def tuned(loop: FeedbackLoop, derivative: bool = False) -> Gains:
 def _one(loop: FeedbackLoop, o: int, derivative: bool) -> tuple[float, float, float]:
     """Proportional, integral and derivative gain of one output with the others open."""
     response = loop.alone(o)
-    unit = 1.0 / (2.0 * np.pi * loop.peak_hz(o))
+    peak_hz = float(loop.frequency_hz[int(np.argmax(np.abs(response).max(axis=0)))])
+    unit = 1.0 / (2.0 * np.pi * peak_hz)
     best, ratios = 0.0, (0.0, 0.0)
     for share, second in itertools.product(SHARES, SHARES if derivative else (0.0,)):
         shape = 1.0 / loop.change + share * unit + second * unit * unit * loop.change

@@ -248,13 +248,12 @@ class FeedbackStream:
 
     def to_iosys(self, sample_time_s: float, name: str) -> BlockSystem:
         """Give the block as a discrete ``control.NonlinearIOSystem``; see ``FeedbackController.to_iosys``."""
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise, signals
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise
 
         require_grid(self.law.sample_time_s, sample_time_s, "controller")
         block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.rest().restored)
-        p = self.law.n_outputs
-        wires = signals("reference_um", p) + signals("reading_um", p)
-        return BlockSystem(block, wires, signals("requested_v", self.law.n_inputs), sample_time_s, name)
+        wires = dict.fromkeys(("reference_um", "reading_um"), self.law.n_outputs)
+        return BlockSystem(block, wires, {"requested_v": self.law.n_inputs}, sample_time_s, name)
 
 
 def closed_loop(law: Controller[Any], plant: Plant, reference_um: ArrayLike, seed: list[int]) -> Response:

@@ -121,7 +121,6 @@ class HammersteinInverseLaw(Law[PathState]):
                 raise InputError("preview_s", f"must be 0 or more, not {preview_s:g}")
             self.preview_samples = min(self.needed_samples, math.floor(preview_s / sample_time_s + 1e-6))
         self.recovery = _recovery(self.linear.block)
-        self._frame = self._frame_of_steps()
 
     @property
     def delay_samples(self) -> int:

@@ -6,10 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from hammerstein.arrays import Array, Complex, Indices, spans
+from hammerstein.arrays import Array, Complex, Indices, filled, transfer
 from hammerstein.dynamics import Dynamics, LinearBlock, discretise, split_delay
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.quantities import interval, number_of
+from hammerstein.records.checks import runs
 
 LONGEST_FILTER = 100_000
 """Taps; two seconds of a path at 50 kHz."""
@@ -44,10 +45,8 @@ def filtered_by(taps: Array, raw: Array) -> Array:
     if len(taps) == 1:
         return raw
     raw = np.ascontiguousarray(raw)
-    out = np.empty((raw.shape[0], raw.shape[1] - len(taps) + 1))
-    for first, stop in spans(out.shape[1], taps.size * len(out)):
-        filtered(taps, raw, first, stop, out)
-    return out
+    shape = (raw.shape[0], raw.shape[1] - len(taps) + 1)
+    return filled(filtered, taps, raw, shape=shape, products=taps.size * len(raw))
 
 
 TAIL = 1e-8
@@ -104,18 +103,15 @@ class LinearInverse:
         from hammerstein.compensators.preview.preview_kernel import run_inverse
 
         known = np.ascontiguousarray(known)
-        v = np.empty((len(known), known.shape[1] - self.reach_samples))
-        inside = (self.A, self.B, self.C, self.taps, self.ahead, modes)
-        for first, stop in spans(v.shape[1], self.A.size + self.taps.size):
-            run_inverse(*inside, known, first, stop, v)
-        return v
+        given = (self.A, self.B, self.C, self.taps, self.ahead, modes, known)
+        shape = (len(known), known.shape[1] - self.reach_samples)
+        return filled(run_inverse, *given, shape=shape, products=self.A.size + self.taps.size)
 
     def response(self, frequency_hz: Array) -> Complex:
         """Frequency response (frequency, p, p) from y to v, preview taken off and input delay left out."""
         z = np.exp(2j * np.pi * frequency_hz * self.block.sample_time_s)
-        resolvent = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
         direct = np.einsum("jvy,fj->fvy", self.taps, z[:, None] ** np.arange(len(self.taps)))
-        return np.asarray((self.C @ resolvent + direct) * z[:, None, None] ** self.ahead)
+        return transfer(self.A, self.B, self.C, direct, z) * z[:, None, None] ** self.ahead
 
     @cached_property
     def large_gain_hz(self) -> tuple[tuple[float, float], ...]:
@@ -123,10 +119,7 @@ class LinearInverse:
         grid = np.linspace(0.0, 0.5 / self.block.sample_time_s, 4001)[1:-1]
         gain = np.linalg.norm(np.linalg.inv(self.block.response(grid)), ord=2, axis=(1, 2))
         still = np.linalg.norm(np.linalg.inv(self.block.response(0.0))[0], ord=2)
-        large = np.concatenate([[False], gain > LARGE_GAIN * still, [False]])
-        edges = np.flatnonzero(np.diff(large.astype(int)))
-        bands = zip(edges[::2], edges[1::2], strict=True)
-        return tuple((float(grid[a]), float(grid[b - 1])) for a, b in bands)
+        return tuple((float(grid[a]), float(grid[b])) for a, b in runs(gain > LARGE_GAIN * still))
 
     def statement(self) -> str:
         """Say how far ahead it looks, and at which frequencies it asks for much drive."""

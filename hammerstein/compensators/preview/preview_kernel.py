@@ -4,9 +4,7 @@ import numpy as np
 
 from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
 from hammerstein.compensators.kernels import to_sent
-from hammerstein.compiled import compiled
-
-at = np.uint64  # an index of unsigned type is not tested for Python's counting from the end
+from hammerstein.compiled import at, compiled
 
 
 @compiled()

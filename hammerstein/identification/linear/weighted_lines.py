@@ -8,8 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hammerstein.arrays import Array, Complex
-from hammerstein.dynamics.linear_block import transfer
+from hammerstein.arrays import Array, Complex, transfer
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 
