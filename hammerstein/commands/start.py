@@ -96,11 +96,11 @@ def show(
     from hammerstein.commands.terminal_tables import facts_table
     from hammerstein.model import packaged_actuators, place_of
 
-    found = contents_of(place_of(str(file)) if str(file) in packaged_actuators() else file)
+    kind, facts = contents_of(place_of(str(file)) if str(file) in packaged_actuators() else file)
     if as_json:
-        tell_json({"file": str(file), "kind": found.kind, **dict(found.facts)})
+        tell_json({"file": str(file), "kind": kind, **dict(facts)})
         return
-    show_table(facts_table(f"{file}: {found.kind}", found.facts))
+    show_table(facts_table(f"{file}: {kind}", facts))
 
 
 def guide(

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.arrays import Array
@@ -153,10 +152,6 @@ class Report(NotebookRepr):
 
     def to_json(self) -> str:
         """Text of ``report.json``: full precision, sorted keys, no clock and no host."""
-        return self._json
-
-    @cached_property
-    def _json(self) -> str:
         content = {
             "format": FORMAT,
             "name": self.name,
@@ -182,10 +177,6 @@ class Report(NotebookRepr):
 
     def to_csv(self) -> str:
         """Text of ``rms.csv``: one line for each row; undefined figures are empty."""
-        return self._table
-
-    @cached_property
-    def _table(self) -> str:
         return csv_text(self.to_frame())
 
 
@@ -324,6 +315,11 @@ def significant(value: float) -> str:
 def number(value: float | None) -> str:
     """Three digits that count; empty without a value."""
     return "" if value is None or math.isnan(value) else significant(value)
+
+
+def spread(band: Band) -> str:
+    """Write a band as its median, and its ends in brackets."""
+    return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
 
 
 def percent(share: float) -> str:

@@ -7,7 +7,6 @@ from hammerstein.escaping import Markdown
 from hammerstein.experiment.report import (
     PARTS,
     TOO_FEW,
-    Band,
     Condition,
     Report,
     Sensitivity,
@@ -18,6 +17,7 @@ from hammerstein.experiment.report import (
     number,
     selected_frequencies,
     share_held,
+    spread,
 )
 from hammerstein.metrics import Row
 from hammerstein.quantities import by_key
@@ -182,7 +182,8 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 
     def cells(line: Sequence[Row]) -> Iterator[str]:
         found = {(row.excited_axis, row.measured_axis): bands.get(row.place) for row in line}
-        yield from (_band(found.get(transfer)) for transfer in transfers)
+        own = (found.get(transfer) for transfer in transfers)
+        yield from ("" if band is None else spread(band) for band in own)
 
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
     title = (
@@ -220,12 +221,6 @@ def _index(found: Sensitivity | None) -> str:
     if not found.is_estimated:
         return TOO_FEW
     return f"{found.total:.2f} ({found.total_low:.2f} to {found.total_high:.2f})"
-
-
-def _band(band: Band | None) -> str:
-    if band is None:
-        return ""
-    return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
 
 
 def _transfer(report: Report, excited: str, measured: str) -> str:

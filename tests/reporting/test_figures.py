@@ -199,7 +199,7 @@ def test_sweep_of_an_uncertain_actuator_has_bands() -> None:
 def test_a_band_on_a_linear_axis_is_not_cut() -> None:
     """The axis was fitted to the medians: the band of a first trial went beyond it."""
     values = np.array([[[0.7, 0.57, 0.57]]])
-    curve = SweepCurve("learned", np.arange(1.0, 4.0), values, band=(0.9 * values, 2.0 * values))
+    curve = SweepCurve("learned", np.arange(1.0, 4.0), values, band=(0.9 * values, 2.0 * values, values))
     (axes,) = sweep_figure([curve], [["x"]], "rms error").axes
     assert axes.get_yscale() == "linear"
     assert axes.get_ylim()[0] == 0.0
@@ -210,8 +210,8 @@ def test_a_band_on_a_linear_axis_is_not_cut() -> None:
 def test_bands_of_several_compensators_stand_beside_each_other(x: list[float]) -> None:
     """Areas would hide each other: every band has bars of its own from its lower to its upper edge."""
     at, values = np.array(x), np.array([[[1.0, 2.0, 3.0]]])
-    band = (0.5 * values, 2.0 * values)
-    curves = [SweepCurve(label, at, values, band=band, nominal=values) for label in "abc"]
+    band = (0.5 * values, 2.0 * values, values)
+    curves = [SweepCurve(label, at, values, band=band) for label in "abc"]
     (axes,) = sweep_figure(curves, [["x"]], "rms error").axes
     assert not axes.collections
     bars = [line for line in axes.lines if np.isnan(line.get_ydata()).any()]

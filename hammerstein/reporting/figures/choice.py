@@ -359,14 +359,15 @@ def sweep_curves(report: Report, merit: str, over: Over) -> list[SweepCurve]:
         places = sorted({over.of(row) for row in rows})
         where = [(row, places.index(over.of(row))) for row in rows]
         found = [(row, at, bands[row.place]) for row, at in where if row.place in bands]
-        low = _grid(report, len(places), [(row, at, band.p5_um) for row, at, band in found])
-        high = _grid(report, len(places), [(row, at, band.p95_um) for row, at, band in found])
-        middle = _grid(report, len(places), [(row, at, band.median_um) for row, at, band in found])
+        low, middle, high = (
+            _grid(report, len(places), [(row, at, getattr(band, part)) for row, at, band in found])
+            for part in ("p5_um", "median_um", "p95_um")
+        )
         values = _grid(report, len(places), [(row, at, getattr(row, merit)) for row, at in where])
         mark = identified.get(rows[0].compensator)
         x = np.array(places)
         if found:  # the line of a band is its median
-            curves.append(SweepCurve(label, x, middle, mark, (low, high), nominal=values))
+            curves.append(SweepCurve(label, x, middle, mark, (low, high, values)))
         else:
             curves.append(SweepCurve(label, x, values, mark))
     return curves

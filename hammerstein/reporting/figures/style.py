@@ -156,14 +156,10 @@ def symbol(axis: str, role: Role) -> str:
     >>> symbol("x", "voltage"), symbol("tip", "error")
     ('$u_x$', 'error of tip')
     """
-    letter = len(axis) == 1 and axis.isalpha() and axis.isascii()
-    if letter:
-        return {"reading": "${}$", "reference": "${}_r$", "voltage": "$u_{}$", "error": "$e_{}$"}[
-            role
-        ].format(axis)
-    return {"reading": "{}", "reference": "{}", "voltage": "{}", "error": "error of {}"}[role].format(
-        plain(axis)
-    )
+    if len(axis) == 1 and axis.isalpha() and axis.isascii():
+        forms = {"reading": "${}$", "reference": "${}_r$", "voltage": "$u_{}$", "error": "$e_{}$"}
+        return forms[role].format(axis)
+    return "error of " * (role == "error") + plain(axis)
 
 
 def plain(label: str) -> str:

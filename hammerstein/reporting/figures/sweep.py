@@ -39,6 +39,7 @@ BAND_ALPHA = 0.2
 STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 13, "markeredgecolor": "white"}
 NOMINAL_WIDTH = 0.5
 """Thin, as the band is what counts."""
+NOMINAL_POINT: dict[str, Any] = {"linestyle": "none", "marker": "D", "markersize": 3.0}
 BAR_WIDTH = 2.5
 """Of the bars of several bands beside each other [pt]."""
 APART = 0.012
@@ -53,16 +54,15 @@ class SweepCurve:
     x : (point,) frequency [Hz] or another swept value, positive and increasing
     values : (output, input, point); NaN where there is none
     mark : position of a star on the curve, such as the frequency of its identification; None: no star
-    band : lower and upper edge around the curve, each as ``values``; None: no band
-    nominal : (output, input, point) drawn thin beside the curve, which is then the median of its band
+    band : lower and upper edge around the curve, which is then the median, and the nominal values beside it,
+        drawn thin; each as ``values``; None: no band
     """
 
     label: str
     x: Array
     values: Array
     mark: float | None = None
-    band: tuple[Array, Array] | None = None
-    nominal: Array | None = None
+    band: tuple[Array, Array, Array] | None = None
 
 
 def sweep_figure(
@@ -146,18 +146,15 @@ def _draw_bands(panels: np.ndarray, curves: Sequence[tuple[int, SweepCurve]]) ->
         assert curve.band is not None
         pen = {"color": line_style(number)["color"], "label": plain(curve.label)}
         for (o, k), axes in np.ndenumerate(panels):
-            low, high = (edge[o, k] for edge in curve.band)
-            nominal = None if curve.nominal is None else curve.nominal[o, k]
+            low, high, nominal = (values[o, k] for values in curve.band)
             if len(banded) == 1:
                 axes.fill_between(curve.x, low, high, alpha=BAND_ALPHA, linewidth=0.0, **pen)
-                if nominal is not None:
-                    axes.plot(curve.x, nominal, linewidth=NOMINAL_WIDTH, **pen)
+                axes.plot(curve.x, nominal, linewidth=NOMINAL_WIDTH, **pen)
                 continue
             x = _beside(axes, curve.x, place - 0.5 * (len(banded) - 1))
             bars = np.array([low, high, np.full_like(x, np.nan)]).T.ravel()
             axes.plot(np.repeat(x, 3), bars, linewidth=BAR_WIDTH, **pen)
-            if nominal is not None:
-                axes.plot(x, nominal, linestyle="none", marker="D", markersize=3.0, **pen)
+            axes.plot(x, nominal, **NOMINAL_POINT, **pen)
 
 
 def _beside(axes: Axes, x: Array, places: float) -> Array:
@@ -182,17 +179,14 @@ def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
     if any(_mark(curve) is not None for curve in curves):
         entries["identified here"] = Line2D([], [], color="#555555", **STAR)
     banded = sum(curve.band is not None for curve in curves)
-    words = "median, 5 to 95 % of random actuators"
+    words, nominal = "median, 5 to 95 % of random actuators", "nominal actuator"
     grey: dict[str, Any] = {"color": "#555555"}
     if banded > 1:
         entries[words] = Line2D([], [], linewidth=BAR_WIDTH, **grey)
+        entries[nominal] = Line2D([], [], **grey, **NOMINAL_POINT)
     elif banded:
         entries[words] = Patch(alpha=BAND_ALPHA, linewidth=0.0, **grey)
-    if any(curve.nominal is not None for curve in curves):
-        point: dict[str, Any] = {"linestyle": "none", "marker": "D", "markersize": 3.0}
-        entries["nominal actuator"] = Line2D(
-            [], [], **grey, **(point if banded > 1 else {"linewidth": NOMINAL_WIDTH})
-        )
+        entries[nominal] = Line2D([], [], **grey, linewidth=NOMINAL_WIDTH)
     return entries
 
 
