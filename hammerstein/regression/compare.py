@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import math
@@ -21,7 +20,7 @@ from hammerstein.metrics import METRICS
 from hammerstein.runtime.manifest import put_aside
 from hammerstein.scenario.assessment import DEFAULT as OTHERS, numbers_of_judgements
 from hammerstein.scenario.scenario import Tolerance
-from hammerstein.validation import Strict, mistakes_in
+from hammerstein.validation import Strict, mistakes_in, suggestion
 
 FORMAT = "hammerstein-baseline/1"
 NOTHING = " \t\r\n{}[]"
@@ -346,8 +345,7 @@ def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
     mistakes, names = [], [OTHERS, *METRICS, *numbers_of_judgements()]
     for metric in tolerances:
         if metric not in names:
-            near = difflib.get_close_matches(metric, names, n=1)
-            hint = f"; did you mean {near[0]}?" if near else f"; numbers are {', '.join(names)}"
+            hint = suggestion(metric, names) or f"; numbers are {', '.join(names)}"
             mistakes.append(Mistake(f"tolerances.{metric}", f"is not a number of a report{hint}"))
     refuse(name, mistakes)
 

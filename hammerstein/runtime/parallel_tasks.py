@@ -12,7 +12,6 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
-from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from hammerstein.errors import LostProcessError
@@ -84,9 +83,7 @@ class _Crew(Executor):
 class Threads(_Crew):
     """Threads of this process; after an exception, the block does not wait for running tasks."""
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.shutdown(wait=kind is None, cancel_futures=kind is not None)
 
 
@@ -119,9 +116,7 @@ class Processes(_Crew):
                     worker.process.terminate()
         super().shutdown(wait, cancel_futures=cancel_futures)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.shutdown(cancel_futures=kind is not None)
 
     def _serve(self) -> None:
