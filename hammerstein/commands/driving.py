@@ -87,8 +87,7 @@ def compensate(
     if before is not None and learn is None:
         raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
     options = words.options()
-    wanted = TableRequest(table, table_scale, table_points)
-    wanted.check()
+    wanted = TableRequest.of(table, table_scale, table_points)
     read = [Path(model), reference, *(learn or ()), *(before or ())]
     refuse_output(out, read, wanted.owner(), overwrite)
     periodic = cycle or table is not None or learn is not None
@@ -248,25 +247,34 @@ def export(
 
 
 class TableRequest(NamedTuple):
-    """What a person asks of a wave table; no device: the period as a drive file."""
+    """What a person asks of a wave table; no device: the period as a drive file.
+
+    factors : factor and offset from volts to the numbers of the table, if they are given
+    """
 
     device: str | None
-    scale: str | None
+    factors: tuple[float, float] | None
     points: int | None
 
-    def check(self) -> None:
+    @classmethod
+    def of(cls, device: str | None, scale: str | None, points: int | None) -> TableRequest:
         """Raise InputError for words that are none, before anything is computed."""
         from hammerstein.compensators.wave_table import DEVICES
 
-        if self.device is None and (self.scale is not None or self.points is not None):
+        if device is None and (scale is not None or points is not None):
             raise InputError("--table-scale, --table-points", "need --table")
-        if self.device is not None and self.device not in DEVICES:
-            raise InputError("--table", f"{self.device!r} is not one of {', '.join(DEVICES)}")
-        scale = self.factors()
-        if scale is not None and (scale[0] == 0.0 or not all(map(math.isfinite, scale))):
+        if device is not None and device not in DEVICES:
+            raise InputError("--table", f"{device!r} is not one of {', '.join(DEVICES)}")
+        factors = volts("--table-scale", scale)
+        if factors is None:
+            return cls(device, None, points)
+        if len(factors) > 2:
+            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
+        if factors[0] == 0.0 or not all(map(math.isfinite, factors)):
             raise InputError(
                 "--table-scale", "must be FACTOR or FACTOR,OFFSET, finite, with a factor other than 0"
             )
+        return cls(device, (factors[0], factors[1] if len(factors) == 2 else 0.0), points)
 
     def owner(self) -> Owner:
         """Who writes the file."""
@@ -275,15 +283,6 @@ class TableRequest(NamedTuple):
 
         return DRIVE if self.device is None else WAVE_TABLE
 
-    def factors(self) -> tuple[float, float] | None:
-        """Factor and offset from volts to the numbers of the table."""
-        scale = volts("--table-scale", self.scale)
-        if scale is None:
-            return None
-        if len(scale) > 2:
-            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
-        return scale[0], scale[1] if len(scale) == 2 else 0.0
-
     def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
         """What must be known of a period, its errors [um], and the text of its file."""
         from hammerstein.compensators.wave_table import wave_table
@@ -291,7 +290,7 @@ class TableRequest(NamedTuple):
 
         if self.device is None:
             return found.statements(), [rms(found.error_um)], found.to_csv()
-        table = wave_table(found, self.device, self.factors(), self.points)
+        table = wave_table(found, self.device, self.factors, self.points)
         return table.statements(), list(table.errors_um), table.text()
 
 

@@ -138,29 +138,21 @@ class RecordFiles:
 
     def gains(self, records: Sequence[Record]) -> list[Gain]:
         """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
-        from hammerstein.records.gains import (
-            doubtful_clocks,
-            doubtful_gains,
-            doubtful_jumps,
-            doubtful_order,
-            doubtful_responses,
-            doubtful_units,
-            pair_gains,
-        )
+        from hammerstein.records import gains as found
 
         if self.rate is None:
-            for clock in doubtful_clocks(records):
+            for clock in found.doubtful_clocks(records):
                 complain(clock)
-        gains = pair_gains(records)
-        for order in doubtful_order(gains):
+        gains = found.pair_gains(records)
+        for order in found.doubtful_order(gains):
             complain(f"{order}: if columns were exchanged, correct --inputs, --outputs or the files")
         if self.accept_gain:
             return gains
-        doubts = [*doubtful_responses(records)]
-        unsure = [] if doubts or self._named_unit() else doubtful_units(gains)
+        doubts = [*found.doubtful_responses(records)]
+        unsure = [] if doubts or self._named_unit() else found.doubtful_units(gains)
         if unsure:
             raise InputError(records[0].source, f"{unsure[0]}; name the unit: --units nm, um or mm")
-        doubts += [*doubtful_gains(gains), *doubtful_jumps(records)]
+        doubts += [*found.doubtful_gains(gains), *found.doubtful_jumps(records)]
         if doubts:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()

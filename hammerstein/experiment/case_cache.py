@@ -34,7 +34,8 @@ class CaseCache:
         self, cases: Sequence[Case], jobs: Jobs = 1, progress: Progress | None = None
     ) -> list[Result]:
         """Rows and traces of cases; what the store has not is worked out side by side, and kept at once."""
-        found = {i: known for i, case in enumerate(cases) if (known := self._known(case)) is not None}
+        kept = {i: entry for i, case in enumerate(cases) if (entry := self.read(case, "case")) is not None}
+        found = {i: _restored(self.setup, cases[i], entry) for i, entry in kept.items()}
         left = [i for i in range(len(cases)) if i not in found]
 
         def finished(number: int, result: Result) -> None:
@@ -47,10 +48,6 @@ class CaseCache:
         for _ in in_order((partial(rows_of, self.setup, cases[i]) for i in left), jobs, finished):
             pass
         return [found[i] for i in range(len(cases))]
-
-    def _known(self, case: Case) -> Result | None:
-        entry = self.read(case, "case")
-        return None if entry is None else _restored(self.setup, case, entry)
 
     def read(self, case: Case, kind: str, more: Any = None) -> Kept | None:
         """What was kept of something that follows from a case and from ``more``, if it was."""

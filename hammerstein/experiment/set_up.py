@@ -132,10 +132,9 @@ class SetUp:
         """
         scenario, plant = self.scenario, self.plant
         window = Window.of(scenario, case.signal, plant.sample_time_s)
-        hysteresis = plant.model.hysteresis
-        refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
+        m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
+        refuse_too_long(window.total, m, p)
         law = None if scenario.drive is not None else self.laws[case.label]
-        m, p = hysteresis.n_inputs, hysteresis.n_outputs
         wires = allocate_wires(2 * m + p * (law is not None), window.total)
         drive_v, asked_v, path_um = np.split(wires, [m, 2 * m])
         if law is None:

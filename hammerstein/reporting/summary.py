@@ -48,23 +48,12 @@ class Sentence:
     words: str
     table: tuple[tuple[str, ...], ...] = ()
 
-    def __str__(self) -> str:
-        return " ".join([self.words, *("; ".join(row) for row in self.table)])
-
-
-def answer(report: Report, quote: Quote = str) -> str:
-    """One paragraph: results, saturated drives, and loops that had not settled.
-
-    Parameters
-    ----------
-    report : report of a run
-    quote : formats a label, for example in italics
-    """
-    return " ".join(map(str, sentences(report, quote)))
-
 
 def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
-    """The result in one sentence, with a table where it has several numbers; then how the runs went."""
+    """The result in one sentence, with a table where it has several numbers; then how the runs went.
+
+    quote : formats a label, for example in italics
+    """
     named = Contest.of(report, quote)
     compared = any(row.rms_um is not None for row in report.rows)
     found = _answered(report, quote) or _uncertain(report, named)

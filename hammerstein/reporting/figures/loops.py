@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -272,12 +273,9 @@ def loop_runs(report: Report, traces: Sequence[Trace], true: bool = False) -> li
 
 def error_runs(report: Report, traces: Sequence[Trace]) -> list[ErrorRun]:
     """First measured cycle of the errors of each trace; none for a run in volts without models."""
-    labels = legend_labels(report, traces)
-    return [
-        error
-        for trace, label in zip(traces, labels, strict=True)
-        for error in errors_of(trace, label, driven_of(report, trace))
-    ]
+    each = zip(traces, legend_labels(report, traces), strict=True)
+    found = (errors_of(trace, label, driven_of(report, trace)) for trace, label in each)
+    return list(itertools.chain.from_iterable(found))
 
 
 def driven_of(report: Report, trace: Trace) -> int:
