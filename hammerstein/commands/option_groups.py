@@ -66,9 +66,7 @@ class RecordFiles:
     ] = None
     units: Annotated[
         str | None,
-        typer.Option(
-            "--units", metavar="nm|um|mm", help="Unit of the displacements, if their names have none."
-        ),
+        typer.Option(metavar="nm|um|mm", help="Unit of the displacements, if their names have none."),
     ] = None
     accept_gain: Annotated[
         bool, typer.Option("--accept-gain", help="Accept a gain outside 0.001 to 1000 um/V.")
@@ -294,16 +292,16 @@ class LawWords:
     """Options of a law; each is taken by those laws that have it."""
 
     filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None
-    preview_s: Annotated[
-        float | None, typer.Option("--preview-s", metavar="S", help="How far ahead the path is known.")
-    ] = None
+    preview_s: Annotated[float | None, typer.Option(metavar="S", help="How far ahead the path is known.")] = (
+        None
+    )
     softening_v: Annotated[float | None, typer.Option(help="Voltage over which drive jumps are spread.")] = (
         None
     )
     gain: Annotated[str | None, typer.Option(help="For inverse_multiplicative: auto or identity.")] = None
     option: Annotated[
         list[str] | None,
-        typer.Option("--option", metavar="KEY=VALUE", help="Another option of the law, as in a scenario."),
+        typer.Option(metavar="KEY=VALUE", help="Another option of the law, as in a scenario."),
     ] = None
 
     def options(self) -> dict[str, Any]:
@@ -381,14 +379,12 @@ class Reached:
     approach_side: Annotated[
         str | None,
         typer.Option(
-            "--approach-side",
             metavar="UM[,UM]",
             help="Reach every hold from one side, against backlash: -5 from 5 um below, 5 from above.",
         ),
     ] = None
     units: Annotated[
-        str | None,
-        typer.Option("--units", metavar="nm|um|mm", help="Unit of the path, if its columns name none."),
+        str | None, typer.Option(metavar="nm|um|mm", help="Unit of the path, if its columns name none.")
     ] = None
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path that is partly out of reach.")] = False
     beyond_records: Annotated[

@@ -24,7 +24,6 @@ def init(
     of: Annotated[
         str | None,
         typer.Option(
-            "--of",
             metavar="NAME",
             help="Copy scenarios with their accepted numbers: paper, or those of a plug-in.",
         ),

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import math
 import time
+import timeit
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from functools import cache
@@ -189,14 +190,12 @@ def plan_of(scenario: Scenario, jobs: int = 1, timed: bool = True) -> Plan:
 @cache
 def slowness() -> float:
     """How many times as long this processor takes as the one that the times above are of: a quick trial."""
-    return min(_trial_s() for _ in range(3)) / REFERENCE_S
 
+    def work() -> int:
+        """Python's own, in which all short runs spend most of their time."""
+        return sum(i * i for i in range(20_000))
 
-def _trial_s() -> float:
-    """Time of some work of Python itself, in which all short runs spend most of theirs."""
-    begun = time.process_time()
-    sum(i * i for i in range(20_000))
-    return time.process_time() - begun
+    return min(timeit.repeat(work, timer=time.process_time, repeat=3, number=1)) / REFERENCE_S
 
 
 def experiments_of(scenario: Scenario) -> set[Hashable]:

@@ -107,7 +107,7 @@ def _chosen(
 ) -> tuple[SetUp, Case]:
     _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
-    if scenario.sweep.is_zip:  # a value brings those of the other keys with it
+    if scenario.sweep.combine == "zip":  # a value brings those of the other keys with it
         for found in scenario.sweep.combinations():
             if all(found.get(key) == value for key, value in values.items()):
                 swept = {key: (value,) for key, value in found.items()}
@@ -172,7 +172,7 @@ def run(
     )
     if scenario.uncertainty is None:
         return report
-    drawn = (scenario.uncertainty, kept, cases, jobs, progress)
+    drawn = (scenario.uncertainty, kept, cases)
     return replace(report, bands=bands_of(*drawn), sensitivities=sensitivities_of(*drawn))
 
 
@@ -195,8 +195,8 @@ def _worked_out(
     """Every case of a scenario and what came out."""
     plan_of(scenario, jobs if isinstance(jobs, int) else 1, timed=False).refuse_too_large()
     setup = set_up(scenario, name, progress, store=store, jobs=jobs)
-    cases, kept = list(setup.cases()), CaseCache(setup, store)
-    return kept, cases, kept.results(cases, jobs, progress)
+    cases, kept = list(setup.cases()), CaseCache(setup, store, jobs, progress)
+    return kept, cases, kept.results(cases)
 
 
 def _rows_in(results: Iterable[Result]) -> tuple[Row, ...]:
