@@ -20,12 +20,11 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure
-from hammerstein.reporting.figures.choice import SensitivityBars, sensitivity_figure
+from hammerstein.reporting.figures.choice import legend_labels, legible_parts
 from hammerstein.reporting.figures.compared import compared_figure
-from hammerstein.reporting.figures.loops import legend_labels, legible_parts
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.style import letter, line_style, new_figure, plain_numbers, styled
-from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
+from hammerstein.reporting.figures.sweep import SweepCurve, sensitivity_figure, sweep_figure
 
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
 MODEL = {"label": "model", "identification": {}}
@@ -226,8 +225,8 @@ def test_bands_of_several_compensators_stand_beside_each_other(x: list[float]) -
 
 def test_an_index_that_too_few_draws_give_is_not_drawn() -> None:
     index, none = [0.4, 0.3, 0.5], [np.nan] * 3
-    bars = SensitivityBars("exact", ("weights", "noise"), np.array([index, none]), np.array([index, none]))
-    (axes,) = sensitivity_figure([bars]).axes
+    indices = np.array([index, none])
+    (axes,) = sensitivity_figure(["weights", "noise"], {"exact": (indices, indices)}).axes
     assert [text.get_text().strip() for text in axes.texts] == ["too few draws"]
     assert [patch.get_width() for patch in axes.patches] == [0.4, 0.4, 0.0]
     assert not Sensitivity(
