@@ -3,7 +3,7 @@
 import cmath
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -188,8 +188,7 @@ FAR_ITSELF = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+class Result(NamedTuple):
     """Rows of one case, its measured trace, what to do if it had not settled, and samples that are cut.
 
     unsettled : empty if it had; clipped : samples at the sensor's range

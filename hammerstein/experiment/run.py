@@ -5,8 +5,9 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from hammerstein.errors import (
     HammersteinError,
@@ -216,8 +217,7 @@ Finish = Callable[[Report], tuple[Path, ...]]
 """What is done with each report; it gives the places of files that were kept under another name."""
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(NamedTuple):
     """Outcome of one scenario file: its report, or the error that stopped it.
 
     kept : files in its folder that a person had changed, under their new names

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,8 +63,7 @@ class Case:
         return [scenario_seed, *self.position, 0 if self.axis is None else self.axis + 1]
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
+class Window(NamedTuple):
     """Samples of a run: from ``first`` on they are measured."""
 
     first: int

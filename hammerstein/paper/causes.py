@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators import InverseMultiplicative
@@ -27,8 +27,7 @@ LOW_HZ = 10.0
 """Where resonance and sensor do not count."""
 
 
-@dataclass(frozen=True)
-class Variation:
+class Variation(NamedTuple):
     """One or two factors of the chain changed, both in identification and in the run.
 
     factors : changed factors; words : description, such as ``with an ideal sensor``

@@ -14,7 +14,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import at_most
+from hammerstein.experiment.report import TINY, percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
@@ -173,6 +173,15 @@ def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> lis
         said.append(f"Limits: {'; '.join(remarks[:MOST_REMARKS])}{after}.")
     files = f"Model in {asked.model_file}, report in {folder / 'report.html'}."
     return [*said, " ".join((files, *next_step(model, fit, asked))).strip()]
+
+
+def at_most(share: float) -> str:
+    """Write an upper bound in percent.
+
+    >>> at_most(0.0378), at_most(1e-16)
+    ('at most 3.8 %', 'below 0.0001 %')
+    """
+    return "below 0.0001 %" if 0.0 < share < TINY else f"at most {percent(share)}"
 
 
 def _error(fit: Fit) -> str:

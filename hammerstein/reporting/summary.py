@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hammerstein.experiment.report import (
     Condition,
@@ -38,8 +39,7 @@ GUESSED = "Its motion beyond is unknown"  # the same
 Quote = Callable[[str], str]
 
 
-@dataclass(frozen=True)
-class Sentence:
+class Sentence(NamedTuple):
     """A sentence of an answer.
 
     table : what it introduces: a head, then one row for each compensator, model or run

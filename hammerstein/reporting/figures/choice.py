@@ -5,21 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import (
-    FREQUENCY,
     Band,
     Condition,
-    Over,
     Report,
     Trace,
     banded_metric,
     identified_at,
-    swept_over,
     told_apart,
 )
 from hammerstein.metrics import Row
@@ -54,6 +51,32 @@ SWEPT_WORDS = {
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
 DRIFT = "drift_true_um"
 MOST_SHOWN_VALUES = 12  # values of a sweep at which loops and paths can be looked at
+
+
+class Over(NamedTuple):
+    """What curves of a report are drawn over.
+
+    key : of a row; words : label of the axis; figure : how the files of its figures begin
+    """
+
+    key: str
+    words: str
+    figure: str
+
+    def of(self, row: Row) -> float:
+        """Value of a row."""
+        return float(getattr(row, self.key) or 0.0)
+
+
+FREQUENCY = Over("frequency_hz", "frequency [Hz]", "sweep")
+TRIAL = Over("trial", "trial", "trials")
+
+
+def swept_over(report: Report, most: int) -> Over | None:
+    """Trials where there are several, else more than so many frequencies; None for single runs."""
+    if len({row.trial for row in report.rows}) > 1:
+        return TRIAL
+    return FREQUENCY if len({row.frequency_hz for row in report.rows}) > most else None
 
 
 def figures_of(report: Report) -> dict[str, Figure]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -39,8 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
-class LoopRun:
+class LoopRun(NamedTuple):
     """One input driven alone, for about one cycle.
 
     label : name in the legend; runs of one label are drawn alike
@@ -57,8 +55,7 @@ class LoopRun:
     predictions_um: tuple[tuple[str, Array], ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorRun:
+class ErrorRun(NamedTuple):
     """Errors of one run with one input driven, over its cycles.
 
     label : what the legend calls it; runs of one label are drawn alike

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -50,8 +49,7 @@ APART = 0.012
 """Of the length of the axis, between the bars of two curves."""
 
 
-@dataclass(frozen=True, eq=False)
-class SweepCurve:
+class SweepCurve(NamedTuple):
     """One compensator or model over frequency, or over another swept value.
 
     label : name in the legend
@@ -220,8 +218,7 @@ MINUTES_FROM_S = 180.0
 """Longer runs have an axis in minutes."""
 
 
-@dataclass(frozen=True, eq=False)
-class DriftRun:
+class DriftRun(NamedTuple):
     """Mean error of every cycle.
 
     label : compensator; axis : number of the axis from 0
