@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
 from hammerstein.records.array_files import SUFFIXES, arrays_in
-from hammerstein.records.readers import PARQUET, refuse_missing
+from hammerstein.records.readers import PARQUET, read_columns, refuse_missing
 from hammerstein.validation import mistakes_in
 
 Facts = tuple[tuple[str, str], ...]
@@ -193,7 +193,6 @@ def _comparison(found: _Comparison) -> Iterator[tuple[str, str]]:
 
 
 def _table(path: Path) -> Iterator[tuple[str, str]]:
-    from hammerstein.records.readers import read_columns
     from hammerstein.signals.text_tables import find_layout
 
     if path.suffix.lower() in PARQUET:

@@ -198,7 +198,7 @@ def _run_what_changed(
     scenarios: dict[str, Scenario], writer: Writer, jobs: int, cluster: str | None, yes: bool
 ) -> list[Outcome]:
     """Write the reports that an earlier run has left in the store, and run the other scenarios."""
-    from hammerstein.experiment.run import Outcome
+    from hammerstein.experiment.run import Outcome, run_all
 
     outcomes, left = [], {}
     for name, scenario in scenarios.items():
@@ -211,9 +211,7 @@ def _run_what_changed(
     from hammerstein.runtime.processes import begin_loading
 
     if jobs > 1 and len(left) > 1 and cluster is None:
-        begin_loading()  # before this process loads what it needs itself
-    from hammerstein.experiment.run import run_all
-
+        begin_loading()
     with workers(jobs, cluster) as asked, _planned(left, asked, yes) as crew:
         there = writer.on(crew)
         with Watch(len(left)) as watch:

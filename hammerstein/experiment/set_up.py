@@ -20,7 +20,7 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.errors import IdentificationError, InputError, Mistake, SimulationError, labelled, refuse
-from hammerstein.experiment.simulated_identification import IlcRun, IlcRuns, whole_period
+from hammerstein.experiment.simulated_identification import IlcRun, IlcRuns, identify_each, whole_period
 from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
 from hammerstein.runtime.parallel_tasks import Jobs, on_workers
@@ -327,23 +327,17 @@ def _models(
     sources: list[ModelSource] = [s for s in (*scenario.compensators, *scenario.models) if s.is_tested]
     asked = {source.identification for source in sources}
     experiments = {spec: i for spec, i in scenario.experiments().items() if spec in asked}
-    identified: Iterator[HammersteinModel] = iter(())
-    if experiments:
-        from hammerstein.experiment.simulated_identification import identify_each
-
-        identified = identify_each(plant, experiments, scenario.seed, store, jobs)
+    identified = identify_each(plant, experiments, scenario.seed, store, jobs)
     for i, source in enumerate(sources):
         if progress:
             progress(f"identifying{on_workers(jobs)}", i, len(sources))
-        key = source.identification or source.model
-        if key not in found and source.identification is None:
-            found[key] = loaded(str(source.model))
-        elif key not in found and source.identification is not None:
+        spec = source.identification
+        if spec is not None and spec not in found:
             try:
-                found[key] = next(identified)
+                found[spec] = next(identified)
             except (InputError, SimulationError, IdentificationError) as error:
                 raise labelled(f"identification of {source.label!r}", error) from None
-        models[source.label] = found[key]
+        models[source.label] = loaded(str(source.model)) if spec is None else found[spec]
     return models
 
 

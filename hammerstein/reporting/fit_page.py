@@ -21,6 +21,8 @@ from hammerstein.identification.model_selection import CLOSE
 from hammerstein.identification.residual_analysis import noise_um
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import interval
+from hammerstein.reporting.figures.identified import identified_figures
+from hammerstein.reporting.figures.write import files_of
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.runtime.manifest import Owner
 from hammerstein.runtime.staging import staged, staged_beside
@@ -136,12 +138,7 @@ def write_fit(
         stage = opened.enter_context(staged(folder, FIT, overwrite))
         together = folder.resolve() == path.parent.resolve()
         models = stage if together else opened.enter_context(staged_beside(path, MODEL, overwrite))
-        drawn: dict[str, bytes] = {}
-        if figures:
-            from hammerstein.reporting.figures.identified import identified_figures
-            from hammerstein.reporting.figures.write import files_of
-
-            drawn = dict(files_of(identified_figures(fit)))
+        drawn = dict(files_of(identified_figures(fit) if figures else {}))
         fit_page(model, fit, drawn, asked).write(stage, "report", drawn)
         models.write(path.name, model.to_json(), MODEL)
     return tuple(dict.fromkeys(stage.kept + models.kept))

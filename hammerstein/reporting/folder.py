@@ -21,7 +21,7 @@ from hammerstein.errors import InputError
 from hammerstein.escaping import csv_text
 from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
 from hammerstein.metrics import Row
-from hammerstein.reporting.figures.write import FIGURES
+from hammerstein.reporting.figures.write import FIGURES, files_of
 from hammerstein.runtime.manifest import Manifest, Owner, digest_of, is_inside
 from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.runtime.staging import prepare, staged
@@ -155,7 +155,6 @@ def drawn(report: Report, store: Store | None = None, png: bool = False) -> dict
     if entry is not None:
         return _bytes(entry)
     from hammerstein.reporting.figures.choice import figures_of
-    from hammerstein.reporting.figures.write import files_of
 
     made = dict(files_of(figures_of(report), png))
     if store is not None and key is not None:
