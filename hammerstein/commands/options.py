@@ -112,7 +112,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 def words_of(group: Any) -> list[str]:
     """Words of a command line that give a group as it is: arguments, and options that are not their defaults.
 
-    >>> from hammerstein.commands.option_groups import RecordFiles
+    >>> from hammerstein.commands.records import RecordFiles
     >>> words_of(RecordFiles(["a.csv", "b.csv"], rate=5e3, accept_gain=True))
     ['a.csv', 'b.csv', '--rate', '5000', '--accept-gain']
     """
