@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS
-from hammerstein.commands.option_groups import AsJson, Overwrite
-from hammerstein.commands.options import grouped, refuse_output, told_by_options, words_of
+from hammerstein.commands.options import AsJson, Overwrite, grouped, refuse_output, told_by_options, words_of
 from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.errors import InputError, naming
 from hammerstein.escaping import one_line

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
-from hammerstein.commands.option_groups import AsJson, Overwrite
-from hammerstein.commands.options import write_output
+from hammerstein.commands.options import AsJson, Overwrite, write_output
 from hammerstein.commands.terminal import Watch, complain, show, tell, tell_json, tell_kept
 from hammerstein.errors import InputError
 from hammerstein.files import refuse_unwritable

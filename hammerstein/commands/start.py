@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.option_groups import AsJson
+from hammerstein.commands.options import AsJson
 from hammerstein.commands.terminal import show as show_table, tell, tell_json
 from hammerstein.errors import InputError
 

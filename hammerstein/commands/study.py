@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
-from hammerstein.commands.option_groups import Overwrite
-from hammerstein.commands.options import refuse_output, write_output
+from hammerstein.commands.options import Overwrite, refuse_output, write_output
 from hammerstein.commands.scenarios import one_scenario
 from hammerstein.commands.terminal import Watch, complain, tell
 from hammerstein.errors import InputError
