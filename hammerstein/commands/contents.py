@@ -121,20 +121,13 @@ def _scenario(path: Path) -> Iterator[tuple[str, str]]:
     plan = plan_of(scenario)
     yield "question", scenario.question
     yield "actuator", str(scenario.actuator)
-    yield (
-        ("drive" if scenario.drive is not None else "reference"),
-        _listed(scenario.signal.model_dump(mode="json", exclude_none=True)),
-    )
+    yield "drive" if scenario.drive is not None else "reference", _listed(scenario.signal)
     for name, values in scenario.sweep.values():
         yield f"sweep {name}", ", ".join(f"{value:g}" for value in values)
     for source in (*scenario.compensators, *scenario.models):
         law = getattr(source, "law", "model")
         found = source.identification
-        where = (
-            f"file {source.model}"
-            if found is None
-            else "identified: " + _listed(found.model_dump(mode="json", exclude_none=True))
-        )
+        where = f"file {source.model}" if found is None else f"identified: {_listed(found)}"
         yield source.label, f"{law}; {where}"
     if scenario.assessment is not None and scenario.assessment.names():
         yield scenario.assessment.title.lower(), ", ".join(scenario.assessment.names())
@@ -218,5 +211,6 @@ def _notes(path: Path, encoding: str) -> Iterator[str]:
                 yield line.removeprefix("#").strip()
 
 
-def _listed(values: dict[str, Any]) -> str:
-    return ", ".join(f"{key} = {value}" for key, value in values.items())
+def _listed(value: BaseModel) -> str:
+    own = value.model_dump(mode="json", exclude_none=True)
+    return ", ".join(f"{key} = {value}" for key, value in own.items())

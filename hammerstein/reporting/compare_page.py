@@ -7,7 +7,7 @@ from pathlib import Path
 from hammerstein.comparison.inverting import HEADROOM, SETTLING
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.escaping import Markdown, markdown, markdown_page
-from hammerstein.reporting.figures.compared import compared_figure
+from hammerstein.reporting.figures.identified import compared_figure
 from hammerstein.reporting.figures.write import files_of
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs
 from hammerstein.runtime.manifest import Owner

@@ -21,7 +21,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure
 from hammerstein.reporting.figures.choice import legend_labels, legible_parts
-from hammerstein.reporting.figures.compared import compared_figure
+from hammerstein.reporting.figures.identified import compared_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.style import letter, line_style, new_figure, plain_numbers, styled
 from hammerstein.reporting.figures.sweep import SweepCurve, sensitivity_figure, sweep_figure
