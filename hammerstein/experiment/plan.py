@@ -217,7 +217,6 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             words = f"the identification of {label!r}, a run of {samples:.3g} samples for each input"
             needed, seconds = COPIES * run_bytes(samples, m, p), m * samples * SECONDS_A_SAMPLE
             keys = "its measured_cycles or settle_cycles, or raise frequency_hz"
-            yield Part(words, needed, seconds, keys, once)
         else:
             samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
             operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators
@@ -226,7 +225,7 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             needed = COPIES * run_bytes(samples, m, p) + fitted
             seconds = SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * operators / 15.0
             keys = "its record_s or the number of frequencies_hz, or raise sample_time_s"
-            yield Part(words, needed, seconds, keys, once)
+        yield Part(words, needed, seconds, keys, once)
 
 
 def _runs(scenario: Scenario, plant: Plant, jobs: int, timed: bool) -> Iterator[Part]:

@@ -156,7 +156,6 @@ def run(
     kept, cases, results = _worked_out(scenario, name, jobs, progress, store)
     setup, rows = kept.setup, _rows_in(results)
     asked = scenario.assessment
-    traces = tuple(result.trace for result in results)
     report = Report(
         name=name,
         scenario=scenario,
@@ -169,7 +168,7 @@ def run(
         rows=rows,
         statements=statements_of(setup, results),
         judgements=() if asked is None else asked.judge(scenario, name, setup.plant.model, rows, store),
-        traces=traces,
+        traces=tuple(result.trace for result in results),
     )
     if scenario.uncertainty is None:
         return report

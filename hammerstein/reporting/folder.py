@@ -106,12 +106,12 @@ class Writer:
         run.
         """
         key = self._key(name, scenario)
-        known = None if self.store is None or key is None else found(self.store, key, name, scenario)
-        if known is None:
+        entry = None if self.store is None or key is None else self.store.read(key)
+        if entry is None or not all(map(is_inside, entry.arrays)):
             return None
-        report, files = known
+        report = _report(entry.document, name, scenario)
         with staged(self.out / name, REPORT, self.overwrite) as stage:
-            for file, content in files.items():
+            for file, content in _bytes(entry).items():
                 stage.write(file, content)
         return report, stage.kept
 
@@ -191,15 +191,8 @@ def keep(store: Store, key: str, report: Report, folder: Path, names: list[str])
         store.write(key, Kept(document, _arrays(contents)))
 
 
-def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report, dict[str, bytes]] | None:
-    """A report, without its traces, and its files by name; None where it is not kept."""
-    entry = store.read(key)
-    if entry is None or not all(map(is_inside, entry.arrays)):
-        return None
-    return _report(entry.document, name, scenario), _bytes(entry)
-
-
 def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Report:
+    """A report, without its traces, as it was kept."""
     asked = scenario.assessment
     content: dict[str, Any] = {
         key: tuple(found) if isinstance(found, list) else found for key, found in document.items()
