@@ -49,8 +49,6 @@ class HammersteinError(Exception):
 class ToleranceError(HammersteinError):
     """A number is outside the tolerance of its baseline."""
 
-    exit_code = 1
-
 
 class Mistake(NamedTuple):
     """One mistake in a file: its place, and its remedy."""

@@ -119,7 +119,11 @@ def write_atomic(path: Path, content: str | bytes, private: bool = False) -> Non
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=UNFINISHED)
         temporary = Path(name)
         register_cleanup(temporary, temporary.unlink)
-        _write(handle, data, through=not private)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            if not private:
+                file.flush()
+                os.fsync(file.fileno())
         if not private:
             umask = os.umask(0)
             os.umask(umask)
@@ -131,14 +135,6 @@ def write_atomic(path: Path, content: str | bytes, private: bool = False) -> Non
         if temporary is not None:
             temporary.unlink(missing_ok=True)
             drop_cleanup(temporary)
-
-
-def _write(handle: int, data: bytes, through: bool = True) -> None:
-    with os.fdopen(handle, "wb") as file:
-        file.write(data)
-        if through:
-            file.flush()
-            os.fsync(file.fileno())
 
 
 def refuse_no_file(source: str, path: Path) -> None:

@@ -85,7 +85,6 @@ VOLTAGE_V = Range(-1e6, 1e6)
 END_V = Range(-1e6, 1e6, or_inf=True)  # of a drive's range
 BANDWIDTH_HZ = Range(1e-6, 1e9, or_inf=True)
 FREQUENCY_HZ = Range(1e-6, 1e8)
-SAMPLE_TIME_S = Range(1e-9, 1e4)
 SCALE = Range(-1e12, 1e12)
 THRESHOLD_V = Range(0.0, 1e6)
 DELAY_SAMPLES = Range(0, 10**6)
@@ -94,8 +93,6 @@ RATE_HZ = Range(1e-4, 1e9)
 RIDGE = Range(0.0, 1e12)
 TIME_CONSTANT_S = Range(1e-9, 1e10)
 RESONANCE_HZ = Range(1e-6, 1e9)
-SEED = Range(0, 2**53)  # as large as JSON keeps whole numbers
-WEIGHT_UM_PER_V = Range(-1e9, 1e9)
 
 # Of signals, drive and sensor
 Size = Annotated[float, Range(1e-6, 1e6)]  # in V or um, as the name says
@@ -107,7 +104,7 @@ Limit = Annotated[float, Range(1e-6, 1e6, or_inf=True)]  # of a drive or a senso
 End = Annotated[float, END_V]
 Step = Annotated[float, Range(1e-12, 1e6, or_zero=True)]  # of a converter; 0: none
 Noise = Annotated[float, Range(0.0, 1e6)]  # its rms; 0: none
-SampleTime = Annotated[float, SAMPLE_TIME_S]
+SampleTime = Annotated[float, Range(1e-9, 1e4)]
 Scale = Annotated[float, SCALE]
 
 # Times
@@ -119,7 +116,7 @@ TimeConstant = Annotated[float, TIME_CONSTANT_S]
 # Of models
 Volts = Annotated[float, Range(0.0, 1e6)]
 Threshold = Annotated[float, THRESHOLD_V]
-Weight = Annotated[float, WEIGHT_UM_PER_V]
+Weight = Annotated[float, Range(-1e9, 1e9)]
 WeightError = Annotated[float, Range(0.0, 1e9)]
 Resonance = Annotated[float, RESONANCE_HZ]
 Damping = Annotated[float, Range(1e-6, 1e4)]
@@ -135,7 +132,7 @@ Figure = Annotated[float, Range(-1e12, 1e12)]
 Agreed = Annotated[float, Range(1e-12, 1e12)]
 
 # Counts
-Seed = Annotated[int, SEED]
+Seed = Annotated[int, Range(0, 2**53)]  # as large as JSON keeps whole numbers
 Cycles = Annotated[int, Range(1, 10**9)]
 NoCycles = Annotated[int, Range(0, 10**9)]
 Draws = Annotated[int, Range(1, 10**9)]

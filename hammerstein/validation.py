@@ -7,8 +7,8 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
@@ -18,8 +18,7 @@ Node = dict[str, Any]
 DEEPEST = 5  # tables within tables
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """A place in a file.
 
     path : its key path as a person writes it; list entries count from 1, the tags of unions are left out
@@ -56,18 +55,18 @@ class Schema:
                 nodes, tag = inside, tag if i + 1 == len(location) else ""
         return Place(path, names, tag)
 
+    @cached_property
+    def tables(self) -> list[Place]:
+        """Every table, wherever it may stand."""
+        return list(self._tables(self._members(self._root), "", 0))
+
     def owners(self, name: str) -> list[Place]:
         """Tables that have a key of this name."""
-        found: dict[tuple[str, str], Place] = {}
-        for place in self._tables(self._members(self._root), "", 0):
-            if name in place.names:
-                found.setdefault((place.path, place.tag), place)
-        return list(found.values())
+        return list({(place.path, place.tag): place for place in self.tables if name in place.names}.values())
 
     def names(self) -> list[str]:
         """Every key, whatever its table."""
-        tables = self._tables(self._members(self._root), "", 0)
-        return sorted({name for place in tables for name in place.names})
+        return sorted({name for place in self.tables for name in place.names})
 
     def _tables(self, nodes: Sequence[Node], path: str, depth: int) -> Iterator[Place]:
         for node in nodes:

@@ -16,7 +16,7 @@ from hammerstein.commands import (
     study as study_commands,
     terminal,
 )
-from hammerstein.commands.option_groups import AsJson
+from hammerstein.commands.options import AsJson
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.errors import SimulationError
 from hammerstein.runtime.resources import keep_freed_memory

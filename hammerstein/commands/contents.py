@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,7 +11,7 @@ from pydantic import BaseModel
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
 from hammerstein.records.array_files import SUFFIXES, arrays_in
-from hammerstein.records.readers import PARQUET, refuse_missing
+from hammerstein.records.readers import PARQUET, read_columns, refuse_missing
 from hammerstein.validation import mistakes_in
 
 Facts = tuple[tuple[str, str], ...]
@@ -24,12 +23,8 @@ MOST_STATEMENTS = 5  # of a report; its page has all of them
 OWN_TABLES = {"drive_": "drive file", "played_": "file of played voltages"}  # how a column of each begins
 
 
-@dataclass(frozen=True)
-class Contents:
-    """Description of a file: names and texts."""
-
-    kind: str
-    facts: Facts
+Contents = tuple[str, Facts]
+"""Description of a file: its kind, and names and texts."""
 
 
 class _Report(BaseModel):
@@ -70,16 +65,16 @@ def contents_of(path: Path) -> Contents:
     Raises InputError if it cannot be read, or if it is not a file of this program.
     """
     if path.suffix.lower() == ".toml":
-        return Contents("scenario", tuple(_scenario(path)))
+        return "scenario", tuple(_scenario(path))
     if path.suffix.lower() == ".json":
         return _json(path)
     if path.suffix.lower() in SUFFIXES:
         refuse_missing(path)
-        return Contents("arrays", tuple(arrays_in(path)))
+        return "arrays", tuple(arrays_in(path))
     if path.suffix.lower() in PAGES:
         raise InputError(str(path), "is a page for reading; its data are in the .json beside it")
     facts = tuple(_table(path))
-    return Contents(_kind_of_table([name for name, _ in facts]), facts)
+    return _kind_of_table([name for name, _ in facts]), facts
 
 
 def _kind_of_table(names: Sequence[str]) -> str:
@@ -99,15 +94,15 @@ def _json(path: Path) -> Contents:
         raise InputError(str(path), f"is not JSON: {reason}") from None
     form = str(found.get("format", "")) if isinstance(found, dict) else ""
     if form.startswith("hammerstein-model/"):
-        return Contents("model", tuple(_model(path)))
+        return "model", tuple(_model(path))
     if form.startswith("hammerstein-report/"):
-        return Contents("report", tuple(_report(_read(_Report, found, path))))
+        return "report", tuple(_report(_read(_Report, found, path)))
     if form.startswith("hammerstein-baseline/"):
-        return Contents("baseline", (("rows", str(len(_read(_Baseline, found, path).rows))),))
+        return "baseline", (("rows", str(len(_read(_Baseline, found, path).rows))),)
     if form.startswith("hammerstein-comparison/"):
-        return Contents("comparison", tuple(_comparison(_read(_Comparison, found, path))))
+        return "comparison", tuple(_comparison(_read(_Comparison, found, path)))
     if isinstance(found, dict) and "held_records" in found:
-        return Contents("fit report", tuple(_fit(_read(_Fit, found, path))))
+        return "fit report", tuple(_fit(_read(_Fit, found, path)))
     raise InputError(str(path), "is not a model, report, fit report, comparison or baseline of hammerstein")
 
 
@@ -126,20 +121,13 @@ def _scenario(path: Path) -> Iterator[tuple[str, str]]:
     plan = plan_of(scenario)
     yield "question", scenario.question
     yield "actuator", str(scenario.actuator)
-    yield (
-        ("drive" if scenario.drive is not None else "reference"),
-        _listed(scenario.signal.model_dump(mode="json", exclude_none=True)),
-    )
+    yield "drive" if scenario.drive is not None else "reference", _listed(scenario.signal)
     for name, values in scenario.sweep.values():
         yield f"sweep {name}", ", ".join(f"{value:g}" for value in values)
     for source in (*scenario.compensators, *scenario.models):
         law = getattr(source, "law", "model")
         found = source.identification
-        where = (
-            f"file {source.model}"
-            if found is None
-            else "identified: " + _listed(found.model_dump(mode="json", exclude_none=True))
-        )
+        where = f"file {source.model}" if found is None else f"identified: {_listed(found)}"
         yield source.label, f"{law}; {where}"
     if scenario.assessment is not None and scenario.assessment.names():
         yield scenario.assessment.title.lower(), ", ".join(scenario.assessment.names())
@@ -198,7 +186,6 @@ def _comparison(found: _Comparison) -> Iterator[tuple[str, str]]:
 
 
 def _table(path: Path) -> Iterator[tuple[str, str]]:
-    from hammerstein.records.readers import read_columns
     from hammerstein.signals.text_tables import find_layout
 
     if path.suffix.lower() in PARQUET:
@@ -224,5 +211,6 @@ def _notes(path: Path, encoding: str) -> Iterator[str]:
                 yield line.removeprefix("#").strip()
 
 
-def _listed(values: dict[str, Any]) -> str:
-    return ", ".join(f"{key} = {value}" for key, value in values.items())
+def _listed(value: BaseModel) -> str:
+    own = value.model_dump(mode="json", exclude_none=True)
+    return ", ".join(f"{key} = {value}" for key, value in own.items())

@@ -1,24 +1,26 @@
-"""Commands on a model: voltages that follow a path or erase the past, what they move, and its code."""
+"""Commands on a model: voltages that follow a path or erase the past, what they move, and its code.
+
+Before them stand the groups of their options: of a law, and of its drive.
+"""
 
 from __future__ import annotations
 
 import math
+import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hammerstein.commands.option_groups import (
+from hammerstein.commands.options import (
     AsJson,
-    Conditioned,
-    LawWords,
     Overwrite,
-    RangeWords,
-    Reached,
-    Sent,
-    volts,
+    grouped,
+    refuse_output,
+    told_by_options,
+    write_output,
 )
-from hammerstein.commands.options import grouped, refuse_output, told_by_options, write_output
 from hammerstein.commands.terminal import show, tell, tell_json, tell_kept, tell_statements, watched
 from hammerstein.errors import InputError
 
@@ -28,6 +30,164 @@ if TYPE_CHECKING:
     from hammerstein.compensators.learning import IlcUpdate
     from hammerstein.compensators.path_file import Onlooker
     from hammerstein.runtime.manifest import Owner
+
+
+RangeWords = Annotated[
+    str | None,
+    typer.Option("--range", metavar="LOW,HIGH", help="Allowed voltages; default: recorded range."),
+]
+
+
+@dataclass(frozen=True)
+class LawWords:
+    """Options of a law; each is taken by those laws that have it."""
+
+    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None
+    preview_s: Annotated[float | None, typer.Option(metavar="S", help="How far ahead the path is known.")] = (
+        None
+    )
+    softening_v: Annotated[float | None, typer.Option(help="Voltage over which drive jumps are spread.")] = (
+        None
+    )
+    gain: Annotated[str | None, typer.Option(help="For inverse_multiplicative: auto or identity.")] = None
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Another option of the law, as in a scenario."),
+    ] = None
+
+    def options(self) -> dict[str, Any]:
+        """Those that were given, by their names in a scenario.
+
+        Raises InputError for a gain that no word stands for, and for an option without a key or given twice.
+        """
+        if self.gain not in (None, "auto", "identity"):
+            what = f"must be auto or identity, not {self.gain!r}; put a matrix into a scenario"
+            raise InputError("--gain", what)
+        known = {name: value for name, value in vars(self).items() if value is not None and name != "option"}
+        own = [words.partition("=") for words in self.option or ()]
+        for i, (name, sign, _) in enumerate(own):
+            if not sign or not name.isidentifier():
+                raise InputError("--option", f"{name + sign!r} has no key or no value; write KEY=VALUE")
+            if name in known or name in [other for other, _, _ in own[:i]]:
+                raise InputError("--option", f"{name} is given twice; remove one of them")
+        return known | {name: _value(words) for name, _, words in own}
+
+    @property
+    def own(self) -> frozenset[str]:
+        """Keys that ``--option`` gave."""
+        return frozenset(words.partition("=")[0] for words in self.option or ())
+
+
+def _value(words: str) -> Any:
+    """Value of an option in the words of a scenario file; other words are a text.
+
+    >>> _value("[1, 2]"), _value("0.5"), _value("auto")
+    ([1, 2], 0.5, 'auto')
+    """
+    try:
+        return tomllib.loads(f"value = {words}")["value"]
+    except tomllib.TOMLDecodeError:
+        return words
+
+
+Conditioned = Annotated[
+    bool | None,
+    typer.Option(
+        "--conditioned/--at-rest",
+        help="The actuator was driven to HIGH, then LOW, before the start, or not; default: as before the "
+        "records.",
+        show_default=False,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Sent:
+    """Range of the drive, and initial state of the actuator."""
+
+    range_v: RangeWords = None
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path is zero there."),
+    ] = None
+    conditioned: Conditioned = None
+    accept_flagged: Annotated[
+        bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
+    ] = False
+
+    @property
+    def ends(self) -> tuple[float, ...] | None:
+        """Voltages of the range."""
+        return volts("--range", self.range_v)
+
+    @property
+    def begins(self) -> tuple[float, ...] | None:
+        """Voltages of the start."""
+        return volts("--start", self.start)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """What is done with a path that the drive does not reach as it is."""
+
+    lead_in: Annotated[
+        bool,
+        typer.Option("--lead-in", help="First move from the initial position to the start of the path."),
+    ] = False
+    offset: Annotated[str | None, typer.Option(metavar="UM[,UM]", help="Shift of the path in um.")] = None
+    approach_side: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UM[,UM]",
+            help="Reach every hold from one side, against backlash: -5 from 5 um below, 5 from above.",
+        ),
+    ] = None
+    units: Annotated[
+        str | None, typer.Option(metavar="nm|um|mm", help="Unit of the path, if its columns name none.")
+    ] = None
+    clip: Annotated[bool, typer.Option("--clip", help="Accept a path that is partly out of reach.")] = False
+    beyond_records: Annotated[
+        bool, typer.Option("--beyond-records", help="Accept voltages beyond the records.")
+    ] = False
+
+    def terms(self, sent: Sent) -> Terms:
+        """All that is allowed of a drive."""
+        from hammerstein.compensators.drive_file import Terms
+
+        return Terms(
+            sent.ends,
+            sent.begins,
+            sent.conditioned,
+            self.clip,
+            self.beyond_records,
+            sent.accept_flagged,
+            self.lead_in,
+            volts("--offset", self.offset),
+            volts("--approach-side", self.approach_side),
+            self.units,
+        )
+
+    def refuse_with_period(self) -> None:
+        """Raise InputError for options that a period does not use, because it writes a run-up of its own."""
+        if self.lead_in or self.offset is not None or self.approach_side is not None:
+            options = "--lead-in, --offset, --approach-side"
+            raise InputError(options, "are for a path, not for a period (--cycle, --table, --learn)")
+
+
+def volts(option: str, words: str | None) -> tuple[float, ...] | None:
+    """Voltages from an option, with commas between them.
+
+    Raises InputError for words that are none.
+
+    >>> volts("--range", "0,120")
+    (0.0, 120.0)
+    """
+    if words is None:
+        return None
+    try:
+        return tuple(float(word) for word in words.split(","))
+    except ValueError:
+        raise InputError(option, f"{words!r} is not a list of numbers with commas between them") from None
 
 
 @grouped
@@ -96,8 +256,7 @@ def compensate(
     if before is not None and learn is None:
         raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
     options = words.options()
-    wanted = TableRequest(table, table_scale, table_points)
-    wanted.check()
+    wanted = TableRequest.of(table, table_scale, table_points)
     read = [Path(model), reference, *(learn or ()), *(before or ())]
     refuse_output(out, read, wanted.owner(), overwrite)
     periodic = cycle or table is not None or learn is not None
@@ -258,25 +417,34 @@ def export(
 
 
 class TableRequest(NamedTuple):
-    """What a person asks of a wave table; no device: the period as a drive file."""
+    """What a person asks of a wave table; no device: the period as a drive file.
+
+    factors : factor and offset from volts to the numbers of the table, if they are given
+    """
 
     device: str | None
-    scale: str | None
+    factors: tuple[float, float] | None
     points: int | None
 
-    def check(self) -> None:
+    @classmethod
+    def of(cls, device: str | None, scale: str | None, points: int | None) -> TableRequest:
         """Raise InputError for words that are none, before anything is computed."""
         from hammerstein.compensators.wave_table import DEVICES
 
-        if self.device is None and (self.scale is not None or self.points is not None):
+        if device is None and (scale is not None or points is not None):
             raise InputError("--table-scale, --table-points", "need --table")
-        if self.device is not None and self.device not in DEVICES:
-            raise InputError("--table", f"{self.device!r} is not one of {', '.join(DEVICES)}")
-        scale = self.factors()
-        if scale is not None and (scale[0] == 0.0 or not all(map(math.isfinite, scale))):
+        if device is not None and device not in DEVICES:
+            raise InputError("--table", f"{device!r} is not one of {', '.join(DEVICES)}")
+        factors = volts("--table-scale", scale)
+        if factors is None:
+            return cls(device, None, points)
+        if len(factors) > 2:
+            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
+        if factors[0] == 0.0 or not all(map(math.isfinite, factors)):
             raise InputError(
                 "--table-scale", "must be FACTOR or FACTOR,OFFSET, finite, with a factor other than 0"
             )
+        return cls(device, (factors[0], factors[1] if len(factors) == 2 else 0.0), points)
 
     def owner(self) -> Owner:
         """Who writes the file."""
@@ -285,15 +453,6 @@ class TableRequest(NamedTuple):
 
         return DRIVE if self.device is None else WAVE_TABLE
 
-    def factors(self) -> tuple[float, float] | None:
-        """Factor and offset from volts to the numbers of the table."""
-        scale = volts("--table-scale", self.scale)
-        if scale is None:
-            return None
-        if len(scale) > 2:
-            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
-        return scale[0], scale[1] if len(scale) == 2 else 0.0
-
     def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
         """What must be known of a period, its errors [um], and the text of its file."""
         from hammerstein.compensators.wave_table import wave_table
@@ -301,7 +460,7 @@ class TableRequest(NamedTuple):
 
         if self.device is None:
             return found.statements(), [rms(found.error_um)], found.to_csv()
-        table = wave_table(found, self.device, self.factors(), self.points)
+        table = wave_table(found, self.device, self.factors, self.points)
         return table.statements(), list(table.errors_um), table.text()
 
 

@@ -9,8 +9,9 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, get_type_hints
 
+import typer
 from typer.models import ArgumentInfo
 
 from hammerstein.commands.terminal import tell_kept
@@ -18,6 +19,9 @@ from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
     from hammerstein.runtime.manifest import Owner
+
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, also edited ones.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 _ALONE = ("start", "range", "axes")
 """Options whose own values make a message of their own."""
@@ -112,7 +116,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 def words_of(group: Any) -> list[str]:
     """Words of a command line that give a group as it is: arguments, and options that are not their defaults.
 
-    >>> from hammerstein.commands.option_groups import RecordFiles
+    >>> from hammerstein.commands.records import RecordFiles
     >>> words_of(RecordFiles(["a.csv", "b.csv"], rate=5e3, accept_gain=True))
     ['a.csv', 'b.csv', '--rate', '5000', '--accept-gain']
     """

@@ -2,9 +2,8 @@
 
 import re
 import warnings
-from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,8 +24,7 @@ EVENLY = 1e-3
 """Part of a sample time by which the time of a row may be off."""
 
 
-@dataclass(frozen=True, eq=False)
-class Played:
+class Played(NamedTuple):
     """What a model does with voltages.
 
     source : name of the model; time_s : (sample,) as in the file; with_sensor : whether it was read

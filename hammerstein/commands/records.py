@@ -1,10 +1,11 @@
-"""Commands that start from measured records."""
+"""Commands that start from measured records, and the groups of their options."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,17 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS
-from hammerstein.commands.option_groups import (
-    AcceptOrder,
-    AsJson,
-    HeldBack,
-    Identified,
-    InLoop,
-    Overwrite,
-    RecordFiles,
-    StaticBlock,
-)
-from hammerstein.commands.options import grouped, refuse_output, words_of
+from hammerstein.commands.options import AsJson, Overwrite, grouped, refuse_output, told_by_options, words_of
 from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.errors import InputError, naming
 from hammerstein.escaping import one_line
@@ -32,6 +23,7 @@ if TYPE_CHECKING:
     from hammerstein.identification.in_loop.identify import LoopSettings
     from hammerstein.identification.settings import Settings
     from hammerstein.model import HammersteinModel
+    from hammerstein.records.gains import Gain
     from hammerstein.records.loops import Loop
     from hammerstein.records.record import Record
 
@@ -39,6 +31,263 @@ MOST_NAMED = 3
 """Records whose names make up that of a folder."""
 MOST_LOOPS = 8
 """Of each pair and record, in the table."""
+
+
+AcceptOrder = Annotated[
+    bool, typer.Option("--accept-order", help="Accept the columns although an output leads.")
+]
+
+
+@dataclass(frozen=True)
+class RecordFiles:
+    """Records of one actuator, and how their files are read."""
+
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, Parquet.")
+    ]
+    inputs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COL[,COL]", help="Voltage columns, by name or number; default: by their units."
+        ),
+    ] = None
+    outputs: Annotated[
+        str | None, typer.Option(metavar="COL[,COL]", help="Displacement columns; default: by their units.")
+    ] = None
+    axes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[,NAME]",
+            help="Files are pairs of arrays, voltages then displacements, with these axes: sample, "
+            "channel, experiment, period. --inputs and --outputs then name variables.",
+        ),
+    ] = None
+    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Sampling rate.")] = None
+    time: Annotated[
+        str | None,
+        typer.Option(metavar="COL", help="Time column in s, instead of --rate; default: by its unit."),
+    ] = None
+    input_scale: Annotated[
+        float | None, typer.Option(metavar="S", help="Factor from the numbers to V; default: from the unit.")
+    ] = None
+    output_scale: Annotated[
+        float | None, typer.Option(metavar="S", help="Factor from the numbers to um; default: from the unit.")
+    ] = None
+    units: Annotated[
+        str | None,
+        typer.Option(metavar="nm|um|mm", help="Unit of the displacements, if their names have none."),
+    ] = None
+    accept_gain: Annotated[
+        bool, typer.Option("--accept-gain", help="Accept a gain outside 0.001 to 1000 um/V.")
+    ] = False
+
+    def read(self, held: Sequence[Path] | None = None, all_driven: bool = True) -> tuple[Record, ...]:
+        """Records to fit, or validation records."""
+        from hammerstein.records.reading import read_records
+
+        files, scale = self.files if held is None else held, self._scale()
+        if self.axes is not None:
+            return tuple(record for pair in self._pairs(files) for record in self._of(*pair, all_driven))
+        return read_records(
+            files,
+            inputs=_columns(self.inputs),
+            outputs=_columns(self.outputs),
+            rate_hz=self.rate,
+            time=self.time,
+            input_scale=self.input_scale,
+            output_scale=scale,
+            all_driven=all_driven,
+        )
+
+    def _scale(self) -> float | None:
+        """Factor from the displacements of the files to um, where an option gives it."""
+        from hammerstein.signals.units import displacement_factor
+
+        if self.units is None:
+            return self.output_scale
+        if self.output_scale is not None:
+            raise InputError("--units", "repeats --output-scale; remove one of them")
+        return displacement_factor(self.units)
+
+    def _named_unit(self) -> bool:
+        """Whether the unit of every displacement is known from an option or a name, not taken to be um."""
+        from hammerstein.signals.units import unit_in
+
+        if self.units is not None or self.output_scale is not None:
+            return True
+        columns = _columns(self.outputs)
+        return self.axes is None if columns is None else all(unit_in(name) is not None for name in columns)
+
+    def _pairs(self, files: Sequence[Path]) -> Iterator[tuple[Path, Path]]:
+        """Files with voltages and with displacements, in the order in which they were given."""
+        if len(files) % 2:
+            what = "files come in pairs, first voltages, then displacements; "
+            raise InputError("--axes", f"{what}{files[-1]} has no partner")
+        return zip(files[::2], files[1::2], strict=True)
+
+    def _of(self, voltages: Path, displacements: Path, all_driven: bool) -> tuple[Record, ...]:
+        from hammerstein.records.reading import read_paired_records
+
+        if self.rate is None or self.time is not None:
+            raise InputError("--axes", "pairs of arrays have no time column: use --rate instead of --time")
+        scale = self._scale()
+        with told_by_options("axes"):
+            return read_paired_records(
+                voltages,
+                displacements,
+                axes=_columns(self.axes) or (),
+                rate_hz=self.rate,
+                input_scale=1.0 if self.input_scale is None else self.input_scale,
+                output_scale=1.0 if scale is None else scale,
+                variables=(self.inputs, self.outputs),
+                all_driven=all_driven,
+            )
+
+    def gains(self, records: Sequence[Record]) -> list[Gain]:
+        """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
+        from hammerstein.records import gains as found
+
+        if self.rate is None:
+            for clock in found.doubtful_clocks(records):
+                complain(clock)
+        gains = found.pair_gains(records)
+        for order in found.doubtful_order(gains):
+            complain(f"{order}: if columns were exchanged, correct --inputs, --outputs or the files")
+        if self.accept_gain:
+            return gains
+        doubts = [*found.doubtful_responses(records)]
+        unsure = [] if doubts or self._named_unit() else found.doubtful_units(gains)
+        if unsure:
+            raise InputError(records[0].source, f"{unsure[0]}; name the unit: --units nm, um or mm")
+        doubts += [*found.doubtful_gains(gains), *found.doubtful_jumps(records)]
+        if doubts:
+            doubt = "; ".join(doubts)
+            asked = sys.stdin.isatty() and sys.stderr.isatty()
+            if not (asked and typer.confirm(f"{doubt}. Is this right?", err=True)):
+                source = records[0].source if len(records) == 1 else f"{len(records)} records"
+                remedy = "check --inputs, --outputs and their scales, or accept the gain with --accept-gain"
+                raise InputError(source, f"{doubt}; {remedy}")
+        return gains
+
+
+def _columns(words: str | None) -> list[str] | None:
+    return None if words is None else [word.strip() for word in words.split(",") if word.strip()]
+
+
+@dataclass(frozen=True)
+class HeldBack:
+    """Records that are judged and not fitted."""
+
+    validate: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Validation record; may be repeated.")
+    ] = None
+
+    def read(self, recorded: RecordFiles) -> tuple[Record, ...]:
+        """Records of its files, read as the others are."""
+        return recorded.read(self.validate, all_driven=False) if self.validate else ()
+
+    def refuse_fitted(self, files: Sequence[Path]) -> None:
+        """Refuse a validation record that is also fitted."""
+        fitted = {file.resolve() for file in files}
+        twice = sorted({str(file) for file in self.validate or () if file.resolve() in fitted})
+        if twice:
+            raise InputError(
+                "--validate", f"{twice[0]} is also a fitted record; use another record for validation"
+            )
+
+
+@dataclass(frozen=True)
+class StaticBlock:
+    """Kind of the static block."""
+
+    hysteresis: Annotated[
+        str, typer.Option(help="Hysteresis: prandtl_ishlinskii, asymmetric, generalised and others.")
+    ] = "prandtl_ishlinskii"
+    dead_zones: Annotated[
+        int | None, typer.Option(help="Dead-zones of each input, with asymmetric; default: searched.")
+    ] = None
+
+
+OF_THE_LOOP = ("--order", "--accept-order")
+"""Options of a cascade that the search for hysteresis in the loop uses, too."""
+
+
+@dataclass(frozen=True)
+class InLoop:
+    """Hysteresis in the loop of the dynamics."""
+
+    hysteresis_in_loop: Annotated[
+        bool,
+        typer.Option(
+            "--hysteresis-in-loop",
+            help="Plays in the loop of a state space, for resonances that move with the amplitude.",
+        ),
+    ] = False
+    minutes: Annotated[
+        float, typer.Option(min=0.1, max=1440.0, help="Time limit of --hysteresis-in-loop.")
+    ] = 60.0
+
+    def refuse_unused(self, words: Sequence[str]) -> None:
+        """Refuse options of other models, which its search would ignore."""
+        unused = [word for word in words if word.startswith("--") and word not in OF_THE_LOOP]
+        if self.hysteresis_in_loop and unused:
+            raise InputError("--hysteresis-in-loop", f"does not use {', '.join(unused)}; remove it")
+
+    def settings(self, order: int | None) -> LoopSettings | None:
+        """The settings of its search; None where it is not asked for."""
+        from hammerstein.identification.in_loop.identify import LoopSettings
+
+        return LoopSettings(order, self.minutes) if self.hysteresis_in_loop else None
+
+
+@dataclass(frozen=True)
+class Identified:
+    """How a model is identified; every name is that of a field of the settings."""
+
+    operators: Annotated[str, typer.Option(help="Thresholds of each pair; auto: by cross-validation.")] = (
+        "auto"
+    )
+    partition: Annotated[
+        str,
+        typer.Option(
+            help="Thresholds: uniform in time or voltage, fitted, or auto: fitted if this lowers the error."
+        ),
+    ] = "auto"
+    thresholds: Annotated[
+        str | None, typer.Option(metavar="V[,V]", help="Your own thresholds in V, for all pairs.")
+    ] = None
+    solver: Annotated[
+        str, typer.Option(help="Weights: invertible, least_squares, nonnegative or closed_form.")
+    ] = "invertible"
+    ridge: Annotated[float, typer.Option(help="Ridge penalty of the weights; 0: none.")] = 0.0
+    dynamics: Annotated[
+        str, typer.Option(help="none, lag, second_order, state_space, or auto: lowest error.")
+    ] = "auto"
+    order: Annotated[int | None, typer.Option(help="Order of a state-space model; default: searched.")] = None
+    creep_modes: Annotated[
+        str, typer.Option(help="Slow modes of each axis; auto: up to 3, each if it lowers the error.")
+    ] = "auto"
+    delay_samples: Annotated[int | None, typer.Option(help="Delay of the outputs; default: estimated.")] = (
+        None
+    )
+    sensor_bandwidth: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Bandwidth of the sensor, from its data sheet.")
+    ] = None
+    sensor_delay: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Known delay of the sensor; excluded from the model.")
+    ] = 0.0
+
+    accept_order: AcceptOrder = False
+
+    def settings(self, **more: Any) -> Settings:
+        """The settings, with what one command alone asks for."""
+        from hammerstein.identification.settings import settings_of
+
+        asked = asdict(self)
+        asked["sensor_bandwidth_hz"] = asked.pop("sensor_bandwidth")
+        asked["sensor_delay_s"] = asked.pop("sensor_delay")
+        with told_by_options("identification"):
+            return settings_of(**asked, **more)
 
 
 def folder_name(files: Sequence[Path]) -> str:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
-from hammerstein.commands.option_groups import AsJson, Overwrite
-from hammerstein.commands.options import write_output
+from hammerstein.commands.options import AsJson, Overwrite, write_output
 from hammerstein.commands.terminal import Watch, complain, show, tell, tell_json, tell_kept
 from hammerstein.errors import InputError
 from hammerstein.files import refuse_unwritable
@@ -149,7 +148,7 @@ def _summed_up(outcomes: Sequence[Outcome], out: Path, page: Path | None, overwr
 
 def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: Path, as_json: bool) -> None:
     """Print the results, and where the reports are."""
-    from hammerstein.commands.terminal_tables import judgement_tables, result_table
+    from hammerstein.commands.terminal_tables import judgement_table, result_table
     from hammerstein.reporting.overview import digest
     from hammerstein.reporting.summary import doubts, unsettled_runs
 
@@ -158,11 +157,12 @@ def _tell_reports(outcomes: Sequence[Outcome], reports: Sequence[Report], out: P
         tell_json({"reports": [json.loads(report.to_json()) for report in reports], "errors": errors})
         return
     if len(reports) == 1:
-        show(result_table(reports))
-        for table in judgement_tables(reports):
-            show(table)
-        if told := unsettled_runs(reports[0]):
-            complain(f"{reports[0].name}: {told}")
+        (report,) = reports
+        show(result_table(report))
+        if report.judgements and (asked := report.scenario.assessment):
+            show(judgement_table(asked.title, report.judgements))
+        if told := unsettled_runs(report):
+            complain(f"{report.name}: {told}")
     for report in reports:
         for doubt in doubts(report):
             complain(f"{report.name}: {doubt}")
@@ -197,24 +197,20 @@ def _run_what_changed(
     scenarios: dict[str, Scenario], writer: Writer, jobs: int, cluster: str | None, yes: bool
 ) -> list[Outcome]:
     """Write the reports that an earlier run has left in the store, and run the other scenarios."""
-    from hammerstein.experiment.run import Outcome
+    from hammerstein.experiment.run import Outcome, run_all
 
-    outcomes = []
+    outcomes, left = [], {}
     for name, scenario in scenarios.items():
-        known = writer.again(name, scenario)
-        if known is not None:
-            report, kept = known
-            outcomes.append(Outcome(name, report, kept=kept))
-    known_names = {outcome.name for outcome in outcomes}
-    left = {name: scenario for name, scenario in scenarios.items() if name not in known_names}
+        if (known := writer.again(name, scenario)) is None:
+            left[name] = scenario
+        else:
+            outcomes.append(Outcome(name, known[0], kept=known[1]))
     if not left:
         return outcomes
     from hammerstein.runtime.processes import begin_loading
 
     if jobs > 1 and len(left) > 1 and cluster is None:
-        begin_loading()  # before this process loads what it needs itself
-    from hammerstein.experiment.run import run_all
-
+        begin_loading()
     with workers(jobs, cluster) as asked, _planned(left, asked, yes) as crew:
         there = writer.on(crew)
         with Watch(len(left)) as watch:

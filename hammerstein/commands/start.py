@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.option_groups import AsJson
+from hammerstein.commands.options import AsJson
 from hammerstein.commands.terminal import show as show_table, tell, tell_json
 from hammerstein.errors import InputError
 
@@ -24,7 +24,6 @@ def init(
     of: Annotated[
         str | None,
         typer.Option(
-            "--of",
             metavar="NAME",
             help="Copy scenarios with their accepted numbers: paper, or those of a plug-in.",
         ),
@@ -96,11 +95,11 @@ def show(
     from hammerstein.commands.terminal_tables import facts_table
     from hammerstein.model import packaged_actuators, place_of
 
-    found = contents_of(place_of(str(file)) if str(file) in packaged_actuators() else file)
+    kind, facts = contents_of(place_of(str(file)) if str(file) in packaged_actuators() else file)
     if as_json:
-        tell_json({"file": str(file), "kind": found.kind, **dict(found.facts)})
+        tell_json({"file": str(file), "kind": kind, **dict(facts)})
         return
-    show_table(facts_table(f"{file}: {found.kind}", found.facts))
+    show_table(facts_table(f"{file}: {kind}", facts))
 
 
 def guide(

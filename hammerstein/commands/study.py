@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
-from hammerstein.commands.option_groups import Overwrite
-from hammerstein.commands.options import write_output
+from hammerstein.commands.options import Overwrite, refuse_output, write_output
 from hammerstein.commands.scenarios import one_scenario
 from hammerstein.commands.terminal import Watch, complain, tell
 from hammerstein.errors import InputError
@@ -85,13 +84,12 @@ def sweep(
 def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
     """Where the rows go: a place that can be written to; None where nothing is written."""
     from hammerstein.runtime.manifest import SWEEP
-    from hammerstein.runtime.staging import prepare_file
 
     if dry_run:
         return None
     if out is None:
         raise InputError("--out", "is missing; give a file for the rows, .csv or .parquet")
-    prepare_file("--out", out, SWEEP, overwrite)
+    refuse_output(out, [], SWEEP, overwrite)
     return out
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hammerstein.experiment.report import Report, is_direct
+from hammerstein.experiment.report import Report, is_direct, largest
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import duration, length, size
+from hammerstein.quantities import by_key, duration, length, size
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hammerstein.identification.fit import Fit
     from hammerstein.records.gains import Gain
     from hammerstein.records.loops import Loop
+    from hammerstein.scenario.assessment import Judgement
 
 PLANNED = ("scenario", "part", "", "memory", "time on one processor")
 RUN = (
@@ -52,15 +53,13 @@ def _table(title: str, columns: Sequence[str]) -> Table:
     return table
 
 
-def result_table(reports: Iterable[Report]) -> Table:
-    """One line for each scenario and compensator or model: what a person looks at first."""
+def result_table(report: Report) -> Table:
+    """One line for each compensator or model: what a person looks at first."""
     title = "Worst error of each scenario: of the true position, and of the sensor's readings"
     table = _table(title, RUN)
-    for report in reports:
-        for label in dict.fromkeys(row.compensator for row in report.rows):
-            own = [row for row in report.rows if row.compensator == label]
-            rows = [row for row in own if is_direct(report, row)] or own
-            table.add_row(report.name, label or "(drive in V)", *_figures(rows))
+    for label, own in by_key(report.rows, lambda row: row.compensator).items():
+        rows = [row for row in own if is_direct(report, row)] or own
+        table.add_row(report.name, label or "(drive in V)", *_figures(rows))
     return table
 
 
@@ -82,8 +81,8 @@ def _figures(rows: Sequence[Row]) -> list[str]:
     frequencies = sorted({row.frequency_hz for row in rows if row.frequency_hz})
     cells = [" ... ".join(f"{f:g}" for f in dict.fromkeys([*frequencies[:1], *frequencies[-1:]]))]
     for name in ("rms_true_um", "max_true_um", "max_um"):
-        values = [value for row in rows if (value := getattr(row, name)) is not None]
-        cells.append(f"{max(values):.3f}" if values else "")
+        value = largest(rows, name)
+        cells.append("" if value is None else f"{value:.3f}")
     cut = {replace(row, measured_axis="").place: int(row.saturated_samples or 0) for row in rows}
     return [*cells, str(sum(cut.values()))]
 
@@ -101,18 +100,12 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
     return table
 
 
-def judgement_tables(reports: Sequence[Report]) -> Iterator[Table]:
-    """One line a judgement, in a table for each kind of assessment."""
-    asked = {type(a): a.title for report in reports if (a := report.scenario.assessment) is not None}
-    for kind, title in asked.items():
-        found = [
-            v for report in reports if type(report.scenario.assessment) is kind for v in report.judgements
-        ]
-        if found:
-            table = _table(title, list(found[0].cells()))
-            for judgement in found:
-                table.add_row(*judgement.cells().values())
-            yield table
+def judgement_table(title: str, judgements: Sequence[Judgement]) -> Table:
+    """One line a judgement."""
+    table = _table(title, list(judgements[0].cells()))
+    for judgement in judgements:
+        table.add_row(*judgement.cells().values())
+    return table
 
 
 def compensation_table(found: Compensation) -> Table:

@@ -1,6 +1,6 @@
 """Every kind of hysteresis and the linear models on the same records: which one to take."""
 
-import time
+import timeit
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePath
@@ -237,9 +237,5 @@ def ns_a_sample(model: HammersteinModel, record: Record) -> float:
     u = np.tile(record.u_v, -(-TIMED_SAMPLES // record.samples))[:, :TIMED_SAMPLES]
     hysteresis = model.hysteresis.on_grid(record.sample_time_s)
     block = on_grid(model.dynamics, record.sample_time_s)
-    times = []
-    for _ in range(REPEATS + 1):  # the first one may have to compile
-        begun = time.perf_counter_ns()
-        block.respond(hysteresis.respond(u)[0])
-        times.append(time.perf_counter_ns() - begun)
-    return min(times[1:]) / TIMED_SAMPLES
+    times = timeit.repeat(lambda: block.respond(hysteresis.respond(u)[0]), number=1, repeat=REPEATS + 1)
+    return 1e9 * min(times[1:]) / TIMED_SAMPLES  # the first one may have to compile

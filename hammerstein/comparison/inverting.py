@@ -1,8 +1,7 @@
 """Compensators of compared models: invertibility, and error on another model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +29,7 @@ MOST_SAMPLES = 100_000
 """Of a record that is played."""
 
 
-@dataclass(frozen=True, eq=False)
-class Inverse:
+class Inverse(NamedTuple):
     """The best law for a model: an exact inverse, else one without inversion, else none.
 
     options : the law; None if none works; exact : whether it inverts the model

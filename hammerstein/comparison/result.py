@@ -208,16 +208,14 @@ class Comparison:
             f"Recommended: {chosen.name}, {count}. Its error is {chosen.judged.mean_percent:.3g} % of "
             f"the range {where}, its cross-validation error {chosen.folds_percent:.3g} %."
         ]
-        if best is not chosen:
+        if best is not chosen and chosen.as_good:
             said.append(
-                (
-                    f"{best.name}, with {best.parameters} parameters, has a cross-validation error of "
-                    f"{best.folds_percent:.3g} %: {NO_BETTER}."
-                )
-                if chosen.as_good
-                else (
-                    f"{best.name} has a cross-validation error of {best.folds_percent:.3g} %, but no inverse."
-                )
+                f"{best.name}, with {best.parameters} parameters, has a cross-validation error of "
+                f"{best.folds_percent:.3g} %: {NO_BETTER}."
+            )
+        elif best is not chosen:
+            said.append(
+                f"{best.name} has a cross-validation error of {best.folds_percent:.3g} %, but no inverse."
             )
         if self.unseen is not None:
             said.append(self.unseen.sentence())

@@ -25,32 +25,31 @@ class CaseCache:
 
     setup : what is run
     store : where results are kept; None where nothing is
+    jobs : who works out what is not there
+    progress : told of it
     """
 
-    def __init__(self, setup: SetUp, store: Store | None) -> None:
-        self.setup, self.store = setup, store
+    def __init__(
+        self, setup: SetUp, store: Store | None, jobs: Jobs = 1, progress: Progress | None = None
+    ) -> None:
+        self.setup, self.store, self.jobs, self.progress = setup, store, jobs, progress
 
-    def results(
-        self, cases: Sequence[Case], jobs: Jobs = 1, progress: Progress | None = None
-    ) -> list[Result]:
+    def results(self, cases: Sequence[Case]) -> list[Result]:
         """Rows and traces of cases; what the store has not is worked out side by side, and kept at once."""
-        found = {i: known for i, case in enumerate(cases) if (known := self._known(case)) is not None}
+        kept = {i: entry for i, case in enumerate(cases) if (entry := self.read(case, "case")) is not None}
+        found = {i: _restored(self.setup, cases[i], entry) for i, entry in kept.items()}
         left = [i for i in range(len(cases)) if i not in found]
 
         def finished(number: int, result: Result) -> None:
             i = left[number]
             found[i] = result
             self.write(_packed(result), cases[i], "case")
-            if progress:
-                progress(f"simulating{on_workers(jobs)}", len(found), len(cases))
+            if self.progress:
+                self.progress(f"simulating{on_workers(self.jobs)}", len(found), len(cases))
 
-        for _ in in_order((partial(rows_of, self.setup, cases[i]) for i in left), jobs, finished):
+        for _ in in_order((partial(rows_of, self.setup, cases[i]) for i in left), self.jobs, finished):
             pass
         return [found[i] for i in range(len(cases))]
-
-    def _known(self, case: Case) -> Result | None:
-        entry = self.read(case, "case")
-        return None if entry is None else _restored(self.setup, case, entry)
 
     def read(self, case: Case, kind: str, more: Any = None) -> Kept | None:
         """What was kept of something that follows from a case and from ``more``, if it was."""

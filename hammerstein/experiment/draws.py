@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from hammerstein.errors import InputError
 from hammerstein.experiment.case_cache import CaseCache, rows_from
 from hammerstein.experiment.measure import drawn_rows
 from hammerstein.experiment.report import Band, Sensitivity
-from hammerstein.experiment.set_up import Case, Experiment, Progress, SetUp
+from hammerstein.experiment.set_up import Case, Experiment, SetUp
 from hammerstein.metrics import Row, metrics_of
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
-from hammerstein.runtime.parallel_tasks import Jobs, in_order, on_workers
+from hammerstein.runtime.parallel_tasks import in_order, on_workers
 from hammerstein.runtime.store import Kept
 from hammerstein.scenario.variation import Parameter, Uncertainty
 
@@ -40,8 +40,7 @@ class Actuators:
     numbered: Callable[[int], tuple[Plant, int]]
 
 
-@dataclass(frozen=True, eq=False)
-class Figures:
+class Figures(NamedTuple):
     """Figures of one case on some actuators.
 
     rows : keys of the rows
@@ -57,13 +56,10 @@ def drawn_metrics() -> list[str]:
     return [metric.name for metric in metrics_of() if metric.drawn]
 
 
-def figures_on(
-    actuators: Actuators, kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
-) -> list[Figures]:
+def figures_on(actuators: Actuators, kept: CaseCache, cases: Sequence[Case]) -> list[Figures]:
     """Figures of every case on all actuators.
 
-    The laws are those of the nominal actuator. Pieces run side by side; the numbers do not depend on
-    ``jobs``.
+    The laws are those of the nominal actuator. Pieces run side by side; the numbers do not depend on that.
     """
     runs = [_Run(actuators, kept.setup, case) for case in cases]
     starts = range(0, actuators.count, TOGETHER)
@@ -78,11 +74,11 @@ def figures_on(
             found[number][i] = one
             entry = Kept([row.key() for row in one.rows], {"values": one.values})
             kept.write(entry, runs[i].case, "draws", runs[i].which(pieces[number]))
-        if progress:
-            progress(f"{actuators.what}{on_workers(jobs)}", done + 1, len(open_))
+        if kept.progress:
+            kept.progress(f"{actuators.what}{on_workers(kept.jobs)}", done + 1, len(open_))
 
     tasks = (partial(_over, [runs[i] for i in left[number]], pieces[number]) for number in open_)
-    for _ in in_order(tasks, jobs, finished):
+    for _ in in_order(tasks, kept.jobs, finished):
         pass
     each = [[one for one in known if one is not None] for known in found]
     return [
@@ -149,14 +145,12 @@ def _drawn(uncertainty: Uncertainty, nominal: Plant, seed: int, number: int) -> 
     return drawn, seed + SEED_STEP * (number + 1)
 
 
-def bands_of(
-    uncertainty: Uncertainty, kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
-) -> tuple[Band, ...]:
+def bands_of(uncertainty: Uncertainty, kept: CaseCache, cases: Sequence[Case]) -> tuple[Band, ...]:
     """Median and 5-95 % band of every row over the draws."""
     numbered = partial(_drawn, uncertainty, kept.setup.plant, kept.setup.scenario.seed)
     key = uncertainty.model_dump_json(exclude=NO_PART)
     drawn = Actuators("drawing actuators", key, uncertainty.draws, numbered)
-    found = figures_on(drawn, kept, cases, jobs, progress)
+    found = figures_on(drawn, kept, cases)
     return tuple(band for figures in found for band in _bands(figures))
 
 
@@ -207,7 +201,7 @@ class _Exchanged:
 
 
 def sensitivities_of(
-    uncertainty: Uncertainty, kept: CaseCache, cases: Sequence[Case], jobs: Jobs, progress: Progress | None
+    uncertainty: Uncertainty, kept: CaseCache, cases: Sequence[Case]
 ) -> tuple[Sensitivity, ...]:
     """Contribution of each uncertain parameter to the variance of every row and figure.
 
@@ -229,7 +223,7 @@ def sensitivities_of(
     names, samples = [parameter.name for parameter, _ in groups], uncertainty.sensitivity
     key, count = [uncertainty.model_dump_json(exclude=NO_PART), samples], evaluations(samples, len(parts))
     exchanged = _Exchanged(uncertainty, nominal, scenario.seed, parts, *base)
-    found = figures_on(Actuators("finding sensitivities", key, count, exchanged), kept, cases, jobs, progress)
+    found = figures_on(Actuators("finding sensitivities", key, count, exchanged), kept, cases)
     return tuple(one for figures in found for one in _indices(figures, names, samples, uncertainty.seed))
 
 

@@ -3,7 +3,7 @@
 import cmath
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -188,8 +188,7 @@ FAR_ITSELF = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+class Result(NamedTuple):
     """Rows of one case, its measured trace, what to do if it had not settled, and samples that are cut.
 
     unsettled : empty if it had; clipped : samples at the sensor's range
@@ -417,12 +416,10 @@ def statements_of(setup: SetUp, results: Sequence[Result]) -> tuple[str, ...]:
         for label in setup.laws
         if setup.models[label].digest() == plant.digest()
     ]
-    models = {**setup.models, SIMULATED: plant}
-    verdicts = {label: model.verdict for label, model in models.items()}
     statements += [  # the flags in the fit reports of the models, and of the simulated actuator
-        f"{label}: {FLAGGED}: {'; '.join(verdict.statements) or 'see there'}."
-        for label, verdict in verdicts.items()
-        if verdict is not None and verdict.flagged
+        f"{label}: {FLAGGED}: {'; '.join(model.verdict.statements) or 'see there'}."
+        for label, model in {**setup.models, SIMULATED: plant}.items()
+        if model.verdict is not None and model.verdict.flagged
     ]
     statements += _far_from_home(setup, results)
     statements += _sampling(setup)

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import math
 import time
+import timeit
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from functools import cache
@@ -189,14 +190,12 @@ def plan_of(scenario: Scenario, jobs: int = 1, timed: bool = True) -> Plan:
 @cache
 def slowness() -> float:
     """How many times as long this processor takes as the one that the times above are of: a quick trial."""
-    return min(_trial_s() for _ in range(3)) / REFERENCE_S
 
+    def work() -> int:
+        """Python's own, in which all short runs spend most of their time."""
+        return sum(i * i for i in range(20_000))
 
-def _trial_s() -> float:
-    """Time of some work of Python itself, in which all short runs spend most of theirs."""
-    begun = time.process_time()
-    sum(i * i for i in range(20_000))
-    return time.process_time() - begun
+    return min(timeit.repeat(work, timer=time.process_time, repeat=3, number=1)) / REFERENCE_S
 
 
 def experiments_of(scenario: Scenario) -> set[Hashable]:
@@ -218,7 +217,6 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             words = f"the identification of {label!r}, a run of {samples:.3g} samples for each input"
             needed, seconds = COPIES * run_bytes(samples, m, p), m * samples * SECONDS_A_SAMPLE
             keys = "its measured_cycles or settle_cycles, or raise frequency_hz"
-            yield Part(words, needed, seconds, keys, once)
         else:
             samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
             operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators
@@ -227,7 +225,7 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             needed = COPIES * run_bytes(samples, m, p) + fitted
             seconds = SECONDS_OF_A_FIT + samples * SECONDS_A_FITTED_SAMPLE * operators / 15.0
             keys = "its record_s or the number of frequencies_hz, or raise sample_time_s"
-            yield Part(words, needed, seconds, keys, once)
+        yield Part(words, needed, seconds, keys, once)
 
 
 def _runs(scenario: Scenario, plant: Plant, jobs: int, timed: bool) -> Iterator[Part]:

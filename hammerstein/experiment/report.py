@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hammerstein.arrays import Array
@@ -153,10 +152,6 @@ class Report(NotebookRepr):
 
     def to_json(self) -> str:
         """Text of ``report.json``: full precision, sorted keys, no clock and no host."""
-        return self._json
-
-    @cached_property
-    def _json(self) -> str:
         content = {
             "format": FORMAT,
             "name": self.name,
@@ -182,10 +177,6 @@ class Report(NotebookRepr):
 
     def to_csv(self) -> str:
         """Text of ``rms.csv``: one line for each row; undefined figures are empty."""
-        return self._table
-
-    @cached_property
-    def _table(self) -> str:
         return csv_text(self.to_frame())
 
 
@@ -244,33 +235,6 @@ def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:
     return {condition: condition.only(parts).words() for condition in conditions}
 
 
-@dataclass(frozen=True)
-class Over:
-    """What curves of a report are drawn over.
-
-    key : of a row; words : label of the axis; figure : how the files of its figures begin
-    """
-
-    key: str
-    words: str
-    figure: str
-
-    def of(self, row: Row) -> float:
-        """Value of a row."""
-        return float(getattr(row, self.key) or 0.0)
-
-
-FREQUENCY = Over("frequency_hz", "frequency [Hz]", "sweep")
-TRIAL = Over("trial", "trial", "trials")
-
-
-def swept_over(report: Report, most: int) -> Over | None:
-    """Trials where there are several, else more than so many frequencies; None for single runs."""
-    if len({row.trial for row in report.rows}) > 1:
-        return TRIAL
-    return FREQUENCY if len({row.frequency_hz for row in report.rows}) > most else None
-
-
 def labels_of(rows: Iterable[Row]) -> list[str]:
     """Every compensator or model once, in the order of the report."""
     return list(dict.fromkeys(row.compensator for row in rows))
@@ -326,6 +290,11 @@ def number(value: float | None) -> str:
     return "" if value is None or math.isnan(value) else significant(value)
 
 
+def spread(band: Band) -> str:
+    """Write a band as its median, and its ends in brackets."""
+    return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
+
+
 def percent(share: float) -> str:
     """Write a part in percent with two digits that count, and never an exponent.
 
@@ -335,42 +304,3 @@ def percent(share: float) -> str:
     if 0.0 < abs(share) < TINY:
         return "< 0.0001 %"
     return f"{100.0 * share:.{'2g' if abs(share) < 0.995 else '0f'}} %"
-
-
-def at_most(share: float) -> str:
-    """Write an upper bound in percent.
-
-    >>> at_most(0.0378), at_most(1e-16)
-    ('at most 3.8 %', 'below 0.0001 %')
-    """
-    return "below 0.0001 %" if 0.0 < share < TINY else f"at most {percent(share)}"
-
-
-def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:
-    """At most so many frequencies: the ends, those marked, and others spread evenly between them.
-
-    >>> selected_frequencies([10, 20, 30, 40, 50, 60, 70, 80], [50], 4)
-    [10, 30, 50, 80]
-    """
-    ordered = sorted(set(frequencies))
-    kept = {ordered[0], ordered[-1], *(f for f in marked if f in ordered)}
-    spread = [ordered[round(i * (len(ordered) - 1) / (most - 1))] for i in range(most)]
-    for frequency in spread:
-        if len(kept) < most:
-            kept.add(frequency)
-    return sorted(kept)
-
-
-def share_held(draws: int) -> float:
-    """Part of all actuators that a 5 to 95 % band of so many draws holds at least, with 95 % confidence.
-
-    Between the r-th and the s-th of n draws lies a part of all that is distributed as
-    Beta(s - r, n - s + r + 1) (Wilks, Annals of Mathematical Statistics 12 (1941) 91-96).
-
-    >>> round(share_held(20), 2), round(share_held(300), 2)
-    (0.66, 0.86)
-    """
-    from scipy.special import betaincinv  # SciPy's statistics take a second to load
-
-    between = max(1, math.floor(0.9 * (draws - 1)))
-    return float(betaincinv(between, draws - between + 1, 0.05))

@@ -5,8 +5,9 @@ reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from hammerstein.errors import (
     HammersteinError,
@@ -107,7 +108,7 @@ def _chosen(
 ) -> tuple[SetUp, Case]:
     _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
-    if scenario.sweep.is_zip:  # a value brings those of the other keys with it
+    if scenario.sweep.combine == "zip":  # a value brings those of the other keys with it
         for found in scenario.sweep.combinations():
             if all(found.get(key) == value for key, value in values.items()):
                 swept = {key: (value,) for key, value in found.items()}
@@ -155,7 +156,6 @@ def run(
     kept, cases, results = _worked_out(scenario, name, jobs, progress, store)
     setup, rows = kept.setup, _rows_in(results)
     asked = scenario.assessment
-    traces = tuple(result.trace for result in results)
     report = Report(
         name=name,
         scenario=scenario,
@@ -168,11 +168,11 @@ def run(
         rows=rows,
         statements=statements_of(setup, results),
         judgements=() if asked is None else asked.judge(scenario, name, setup.plant.model, rows, store),
-        traces=traces,
+        traces=tuple(result.trace for result in results),
     )
     if scenario.uncertainty is None:
         return report
-    drawn = (scenario.uncertainty, kept, cases, jobs, progress)
+    drawn = (scenario.uncertainty, kept, cases)
     return replace(report, bands=bands_of(*drawn), sensitivities=sensitivities_of(*drawn))
 
 
@@ -195,8 +195,8 @@ def _worked_out(
     """Every case of a scenario and what came out."""
     plan_of(scenario, jobs if isinstance(jobs, int) else 1, timed=False).refuse_too_large()
     setup = set_up(scenario, name, progress, store=store, jobs=jobs)
-    cases, kept = list(setup.cases()), CaseCache(setup, store)
-    return kept, cases, kept.results(cases, jobs, progress)
+    cases, kept = list(setup.cases()), CaseCache(setup, store, jobs, progress)
+    return kept, cases, kept.results(cases)
 
 
 def _rows_in(results: Iterable[Result]) -> tuple[Row, ...]:
@@ -216,8 +216,7 @@ Finish = Callable[[Report], tuple[Path, ...]]
 """What is done with each report; it gives the places of files that were kept under another name."""
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(NamedTuple):
     """Outcome of one scenario file: its report, or the error that stopped it.
 
     kept : files in its folder that a person had changed, under their new names

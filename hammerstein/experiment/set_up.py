@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators.feedback.pid import closed_loop
 from hammerstein.errors import IdentificationError, InputError, Mistake, SimulationError, labelled, refuse
-from hammerstein.experiment.simulated_identification import IlcRun, IlcRuns, whole_period
+from hammerstein.experiment.simulated_identification import IlcRun, IlcRuns, identify_each, whole_period
 from hammerstein.model import HammersteinModel, model_text
 from hammerstein.model.simulation import BLOCK, AppliedDrive, Plant, Response
 from hammerstein.runtime.parallel_tasks import Jobs, on_workers
@@ -63,8 +63,7 @@ class Case:
         return [scenario_seed, *self.position, 0 if self.axis is None else self.axis + 1]
 
 
-@dataclass(frozen=True, eq=False)
-class Window:
+class Window(NamedTuple):
     """Samples of a run: from ``first`` on they are measured."""
 
     first: int
@@ -132,10 +131,9 @@ class SetUp:
         """
         scenario, plant = self.scenario, self.plant
         window = Window.of(scenario, case.signal, plant.sample_time_s)
-        hysteresis = plant.model.hysteresis
-        refuse_too_long(window.total, hysteresis.n_inputs, hysteresis.n_outputs)
+        m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
+        refuse_too_long(window.total, m, p)
         law = None if scenario.drive is not None else self.laws[case.label]
-        m, p = hysteresis.n_inputs, hysteresis.n_outputs
         wires = allocate_wires(2 * m + p * (law is not None), window.total)
         drive_v, asked_v, path_um = np.split(wires, [m, 2 * m])
         if law is None:
@@ -329,23 +327,17 @@ def _models(
     sources: list[ModelSource] = [s for s in (*scenario.compensators, *scenario.models) if s.is_tested]
     asked = {source.identification for source in sources}
     experiments = {spec: i for spec, i in scenario.experiments().items() if spec in asked}
-    identified: Iterator[HammersteinModel] = iter(())
-    if experiments:
-        from hammerstein.experiment.simulated_identification import identify_each
-
-        identified = identify_each(plant, experiments, scenario.seed, store, jobs)
+    identified = identify_each(plant, experiments, scenario.seed, store, jobs)
     for i, source in enumerate(sources):
         if progress:
             progress(f"identifying{on_workers(jobs)}", i, len(sources))
-        key = source.identification or source.model
-        if key not in found and source.identification is None:
-            found[key] = loaded(str(source.model))
-        elif key not in found and source.identification is not None:
+        spec = source.identification
+        if spec is not None and spec not in found:
             try:
-                found[key] = next(identified)
+                found[spec] = next(identified)
             except (InputError, SimulationError, IdentificationError) as error:
                 raise labelled(f"identification of {source.label!r}", error) from None
-        models[source.label] = found[key]
+        models[source.label] = loaded(str(source.model)) if spec is None else found[spec]
     return models
 
 

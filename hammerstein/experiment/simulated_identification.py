@@ -201,7 +201,7 @@ def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> Hammer
         inputs=plant.model.inputs,
         outputs=plant.model.outputs,
         instruments=plant.instruments,
-        provenance={"actuator": plant.model.name, "identification": spec.model_dump(mode="json")},
+        provenance=_provenance(plant, spec),
         voltages=drive.voltages(),
     )
 
@@ -219,12 +219,13 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
     model, _ = identify(
         _records(plant, spec, drive, seeds), settings, name=name, instruments=plant.instruments
     )
-    provenance: JsonValue = {
-        "actuator": plant.model.name,
-        "identification": spec.model_dump(mode="json"),
-    }
-    named = replace(model, inputs=plant.model.inputs, outputs=plant.model.outputs, provenance=provenance)
+    own = plant.model
+    named = replace(model, inputs=own.inputs, outputs=own.outputs, provenance=_provenance(plant, spec))
     return _with_creep(plant, spec, drive, named, seeds) if spec.creep_modes else named
+
+
+def _provenance(plant: Plant, spec: ClosedFormSpec | JointFitSpec) -> JsonValue:
+    return {"actuator": plant.model.name, "identification": spec.model_dump(mode="json")}
 
 
 def _with_creep(

@@ -4,9 +4,9 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -24,13 +24,11 @@ from hammerstein.scenario.variation import Study
 from hammerstein.validation import mistakes_of
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([1-9]\d*)\])?")
-_LAST = re.compile(r"[A-Za-z_]\w*")
 LOOKED_AT = 100
 """Runs whose plans are averaged, of a study that has more."""
 
 
-@dataclass(frozen=True)
-class Sampled:
+class Sampled(NamedTuple):
     """One run of a study.
 
     number : from 1; point : values of the keys; rows : figures; error : why there are none
@@ -222,7 +220,7 @@ def _put(content: Any, key: str, value: float, name: str) -> None:
             if found is None:
                 raise KeyError(step)
             place = place.setdefault(found[1], {}) if found[2] is None else place[found[1]][int(found[2]) - 1]
-        if not _LAST.fullmatch(last) or isinstance(place.get(last), str | list | dict | bool):
+        if not last.isidentifier() or isinstance(place.get(last), str | list | dict | bool):
             raise KeyError(last)
         place[last] = value
     except (KeyError, IndexError, TypeError, AttributeError):

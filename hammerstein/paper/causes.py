@@ -4,14 +4,14 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
-from hammerstein.blocks.instruments import Drive, Instruments
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.compensators import InverseMultiplicative
 from hammerstein.errors import HammersteinError
 from hammerstein.experiment.case_cache import CaseCache
 from hammerstein.experiment.measure import empty_rows_of
-from hammerstein.experiment.set_up import set_up
+from hammerstein.experiment.set_up import plant_of, set_up
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.claims import Claim, FactorName
@@ -27,8 +27,7 @@ LOW_HZ = 10.0
 """Where resonance and sensor do not count."""
 
 
-@dataclass(frozen=True)
-class Variation:
+class Variation(NamedTuple):
     """One or two factors of the chain changed, both in identification and in the run.
 
     factors : changed factors; words : description, such as ``with an ideal sensor``
@@ -168,11 +167,8 @@ EFFECTS: dict[FactorName, Effect] = {
 
 def finer(scenario: Scenario, model: HammersteinModel, parts: int) -> Scenario:
     """The scenario with the converter's sample time divided."""
-    own = {
-        **model.instruments.drive.model_dump(),
-        **scenario.instruments.drive.model_dump(exclude_unset=True),
-    }
-    drive = Drive.model_validate(own | {"sample_time_s": own["sample_time_s"] / parts})
+    own = plant_of(scenario, model).instruments.drive
+    drive = own.model_copy(update={"sample_time_s": own.sample_time_s / parts})
     instruments = scenario.instruments.model_copy(update={"drive": drive})
     return scenario.model_copy(update={"instruments": instruments})
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from hammerstein.escaping import csv_text, markdown_page
 from hammerstein.experiment.report import Report
@@ -136,8 +136,7 @@ def readings_of(reports: Sequence[Report]) -> list[Met]:
     ]
 
 
-@dataclass(frozen=True)
-class Met:
+class Met(NamedTuple):
     """Claims asked of one actuator, by their verdict, and the reading of the paper that it is."""
 
     actuator: str

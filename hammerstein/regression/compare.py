@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import math
@@ -14,12 +13,12 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, FiniteFloat
 
-from hammerstein.errors import InputError, Mistake, SimulationError, refuse
+from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.report import Report
 from hammerstein.files import read_limited, refuse_no_file, write_atomic
 from hammerstein.metrics import METRICS
 from hammerstein.runtime.manifest import put_aside
-from hammerstein.scenario.assessment import DEFAULT as OTHERS, numbers_of_judgements
+from hammerstein.scenario.assessment import DEFAULT as OTHERS
 from hammerstein.scenario.scenario import Tolerance
 from hammerstein.validation import Strict, mistakes_in
 
@@ -259,10 +258,6 @@ def compare(
     tolerances : by name of the number; others may move by 0.1 %, but 1e-6 (angles: 0.001 degrees) in any
         case, and ``saturated_samples`` not at all
 
-    Raises
-    ------
-    InputError : a tolerance is for a number that no report has
-
     Examples
     --------
     >>> from hammerstein.experiment.run import run
@@ -274,7 +269,6 @@ def compare(
     ()
     """
     allowed = all_tolerances(tolerances)
-    _refuse_unknown(allowed, report.name)
     now, stored = numbers_of(report), baseline.rows
     lost, added = _columns(stored, now) - _columns(now), set(new_columns(report, baseline))
     return (
@@ -340,16 +334,6 @@ def limit(baseline: float, tolerance: Tolerance) -> float:
     0.005
     """
     return max(tolerance.relative * abs(baseline), tolerance.absolute)
-
-
-def _refuse_unknown(tolerances: Mapping[str, Tolerance], name: str) -> None:
-    mistakes, names = [], [OTHERS, *METRICS, *numbers_of_judgements()]
-    for metric in tolerances:
-        if metric not in names:
-            near = difflib.get_close_matches(metric, names, n=1)
-            hint = f"; did you mean {near[0]}?" if near else f"; numbers are {', '.join(names)}"
-            mistakes.append(Mistake(f"tolerances.{metric}", f"is not a number of a report{hint}"))
-    refuse(name, mistakes)
 
 
 def _changes(report: Report, baseline: Baseline) -> Iterator[Finding]:

@@ -7,6 +7,8 @@ from pathlib import Path
 from hammerstein.comparison.inverting import HEADROOM, SETTLING
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.escaping import Markdown, markdown, markdown_page
+from hammerstein.reporting.figures.identified import compared_figure
+from hammerstein.reporting.figures.write import files_of
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs
 from hammerstein.runtime.manifest import Owner
 from hammerstein.runtime.staging import staged
@@ -49,12 +51,7 @@ def write_comparison(
     Raises InputError if they cannot be written.
     """
     with staged(folder, COMPARISON, overwrite) as stage:
-        drawn: dict[str, bytes] = {}
-        if figures:
-            from hammerstein.reporting.figures.compared import compared_figure
-            from hammerstein.reporting.figures.write import files_of
-
-            drawn = dict(files_of({"compare": compared_figure(found)}))
+        drawn = dict(files_of({"compare": compared_figure(found)} if figures else {}))
         compare_page(found, drawn).write(stage, "compare", drawn)
         for entry in found.entries:
             stage.write(entry.file, entry.model.to_json())

@@ -14,13 +14,15 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import at_most
+from hammerstein.experiment.report import TINY, percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
 from hammerstein.identification.residual_analysis import noise_um
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import interval
+from hammerstein.reporting.figures.identified import identified_figures
+from hammerstein.reporting.figures.write import files_of
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
 from hammerstein.runtime.manifest import Owner
 from hammerstein.runtime.staging import staged, staged_beside
@@ -136,12 +138,7 @@ def write_fit(
         stage = opened.enter_context(staged(folder, FIT, overwrite))
         together = folder.resolve() == path.parent.resolve()
         models = stage if together else opened.enter_context(staged_beside(path, MODEL, overwrite))
-        drawn: dict[str, bytes] = {}
-        if figures:
-            from hammerstein.reporting.figures.identified import identified_figures
-            from hammerstein.reporting.figures.write import files_of
-
-            drawn = dict(files_of(identified_figures(fit)))
+        drawn = dict(files_of(identified_figures(fit) if figures else {}))
         fit_page(model, fit, drawn, asked).write(stage, "report", drawn)
         models.write(path.name, model.to_json(), MODEL)
     return tuple(dict.fromkeys(stage.kept + models.kept))
@@ -173,6 +170,15 @@ def answer(model: HammersteinModel, fit: Fit, folder: Path, asked: Asked) -> lis
         said.append(f"Limits: {'; '.join(remarks[:MOST_REMARKS])}{after}.")
     files = f"Model in {asked.model_file}, report in {folder / 'report.html'}."
     return [*said, " ".join((files, *next_step(model, fit, asked))).strip()]
+
+
+def at_most(share: float) -> str:
+    """Write an upper bound in percent.
+
+    >>> at_most(0.0378), at_most(1e-16)
+    ('at most 3.8 %', 'below 0.0001 %')
+    """
+    return "below 0.0001 %" if 0.0 < share < TINY else f"at most {percent(share)}"
 
 
 def _error(fit: Fit) -> str:

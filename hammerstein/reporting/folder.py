@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
+from markupsafe import Markup
 from pydantic_core import to_jsonable_python
 
 from hammerstein.arrays import Array
@@ -20,8 +21,7 @@ from hammerstein.errors import InputError
 from hammerstein.escaping import csv_text
 from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
 from hammerstein.metrics import Row
-from hammerstein.reporting.figures.write import FIGURES
-from hammerstein.reporting.interactive import Interactive
+from hammerstein.reporting.figures.write import FIGURES, files_of
 from hammerstein.runtime.manifest import Manifest, Owner, digest_of, is_inside
 from hammerstein.runtime.parallel_tasks import Jobs
 from hammerstein.runtime.staging import prepare, staged
@@ -37,59 +37,7 @@ REPORT = Owner("report", replaces=(FIGURES.name,))
 ALWAYS = ("report.html", "report.json", "report.md", "rms.csv")
 
 
-@dataclass(frozen=True)
-class WrittenReport:
-    """Files of a report, and those of a person that were kept under another name."""
-
-    files: tuple[Path, ...]
-    kept: tuple[Path, ...]
-
-
-def write_report(
-    report: Report,
-    folder: Path,
-    *,
-    figures: bool = True,
-    traces: TraceFormat | None = None,
-    interactive: bool = False,
-    store: Store | None = None,
-    overwrite: bool = False,
-    png: bool = False,
-) -> WrittenReport:
-    """Write ``report.json``, ``rms.csv``, ``report.md``, ``report.html``, figures and, on request, traces.
-
-    They take the place of those of an earlier run together; where one cannot be written, that report stays.
-    Files that this program did not write stay as well.
-
-    Parameters
-    ----------
-    report : what to write
-    folder : where to; made if it does not exist
-    figures : whether to draw
-    traces : format of the traces, one file a case, every wire a column (CSV) or a variable (MATLAB); none if
-        not given
-    interactive : whether the page holds plots to zoom into
-    store : where figures are kept and found; all are drawn if not given
-    overwrite : whether to replace files that other programs wrote or a person changed
-    png : whether to draw PNG files beside SVG, for a page that shows them
-
-    Raises
-    ------
-    InputError : the folder cannot be written, is a link, or holds other people's files under these names
-    """
-    from hammerstein.reporting.run_page import run_page
-
-    with staged(folder, REPORT, overwrite) as stage:
-        files = drawn(report, store, png) if figures else {}
-        for number, trace in enumerate(report.traces if traces else (), start=1):
-            name = f"traces/{number:03d}_{_file_name(trace)}.{traces}"
-            columns = {"time_s": trace.time_s} | trace.response.columns()
-            stage.write(name, csv_text(columns) if traces == "csv" else _matlab(columns, stage.folder / name))
-        run_page(report, files).write(stage, "report", files, _plots(report) if interactive else None)
-    return WrittenReport(tuple(stage.written), stage.kept)
-
-
-def _plots(report: Report) -> Interactive | None:
+def _plots(report: Report) -> Markup:
     from hammerstein.reporting.figures.choice import explored_figures
     from hammerstein.reporting.interactive import interactive_of
 
@@ -98,7 +46,16 @@ def _plots(report: Report) -> Interactive | None:
 
 @dataclass(frozen=True)
 class Writer:
-    """Write each report into its folder below ``out``."""
+    """Write each report into its folder below ``out``.
+
+    figures : whether to draw
+    traces : format of the traces, one file a case, every wire a column (CSV) or a variable (MATLAB); none if
+        not given
+    interactive : whether the page holds plots to zoom into
+    store : where reports and figures are kept and found; all are drawn if not given
+    overwrite : whether to replace files that other programs wrote or a person changed
+    png : whether to draw PNG files beside SVG, for a page that shows them
+    """
 
     out: Path
     figures: bool = True
@@ -119,15 +76,28 @@ class Writer:
             prepare(self.out / name, REPORT, ALWAYS, self.overwrite)
 
     def __call__(self, report: Report) -> tuple[Path, ...]:
-        """Write one report; give the places of files that were kept."""
-        folder = self.out / report.name
-        options = {name: value for name, value in vars(self).items() if name != "out"}
-        written = write_report(report, folder, **options)
-        key = self._key(report.name, report.scenario)
-        if self.store is not None and key is not None:
-            names = [path.relative_to(folder).as_posix() for path in written.files]
-            keep(self.store, key, report, folder, names)
-        return written.kept
+        """Write ``report.json``, ``rms.csv``, both pages, figures and, on request, traces.
+
+        They take the place of those of an earlier run together; where one cannot be written, that report
+        stays. Files that this program did not write stay as well. Gives the places of files that were kept
+        under another name.
+
+        Raises InputError where the folder cannot be written, is a link, or holds other people's files.
+        """
+        from hammerstein.reporting.run_page import run_page
+
+        with staged(self.out / report.name, REPORT, self.overwrite) as stage:
+            files = drawn(report, self.store, self.png) if self.figures else {}
+            for number, trace in enumerate(report.traces if self.traces else (), start=1):
+                name = f"traces/{number:03d}_{_file_name(trace)}.{self.traces}"
+                columns = {"time_s": trace.time_s} | trace.response.columns()
+                is_csv = self.traces == "csv"
+                stage.write(name, csv_text(columns) if is_csv else _matlab(columns, stage.folder / name))
+            plots = _plots(report) if self.interactive else Markup()
+            run_page(report, files).write(stage, "report", files, plots)
+        if self.store is not None and (key := self._key(report.name, report.scenario)) is not None:
+            keep(self.store, key, report, stage.folder, stage.names)
+        return stage.kept
 
     def again(self, name: str, scenario: Scenario) -> tuple[Report, tuple[Path, ...]] | None:
         """Write the report of an earlier run, if nothing that it depends on has changed.
@@ -136,12 +106,12 @@ class Writer:
         run.
         """
         key = self._key(name, scenario)
-        known = None if self.store is None or key is None else found(self.store, key, name, scenario)
-        if known is None:
+        entry = None if self.store is None or key is None else self.store.read(key)
+        if entry is None or not all(map(is_inside, entry.arrays)):
             return None
-        report, files = known
+        report = _report(entry.document, name, scenario)
         with staged(self.out / name, REPORT, self.overwrite) as stage:
-            for file, content in files.items():
+            for file, content in _bytes(entry).items():
                 stage.write(file, content)
         return report, stage.kept
 
@@ -185,7 +155,6 @@ def drawn(report: Report, store: Store | None = None, png: bool = False) -> dict
     if entry is not None:
         return _bytes(entry)
     from hammerstein.reporting.figures.choice import figures_of
-    from hammerstein.reporting.figures.write import files_of
 
     made = dict(files_of(figures_of(report), png))
     if store is not None and key is not None:
@@ -222,15 +191,8 @@ def keep(store: Store, key: str, report: Report, folder: Path, names: list[str])
         store.write(key, Kept(document, _arrays(contents)))
 
 
-def found(store: Store, key: str, name: str, scenario: Scenario) -> tuple[Report, dict[str, bytes]] | None:
-    """A report, without its traces, and its files by name; None where it is not kept."""
-    entry = store.read(key)
-    if entry is None or not all(map(is_inside, entry.arrays)):
-        return None
-    return _report(entry.document, name, scenario), _bytes(entry)
-
-
 def _report(document: Mapping[str, Any], name: str, scenario: Scenario) -> Report:
+    """A report, without its traces, as it was kept."""
     asked = scenario.assessment
     content: dict[str, Any] = {
         key: tuple(found) if isinstance(found, list) else found for key, found in document.items()

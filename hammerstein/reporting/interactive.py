@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -17,17 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PLACE = "plots"
-
-
-@dataclass(frozen=True)
-class Interactive:
-    """Plots of a page.
-
-    body : their places in the page; scripts : scripts that fill them
-    """
-
-    body: Markup
-    scripts: Markup
+"""Id of the element that they are put into."""
 
 
 def refuse_without_library() -> None:
@@ -39,10 +28,8 @@ def refuse_without_library() -> None:
         )
 
 
-def interactive_of(
-    figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Figure]]
-) -> Interactive | None:
-    """Figures as plots to zoom into; None where there is none. Equal figures give equal bytes.
+def interactive_of(figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Figure]]) -> Markup:
+    """Scripts that fill the place of plots to zoom into; empty without figures. Equal figures: equal bytes.
 
     Parameters
     ----------
@@ -58,7 +45,7 @@ def interactive_of(
 
     layout = plots_of(figures, steps)
     if layout is None:
-        return None
+        return Markup()
     item = _numbered(json_item(layout))
     # Keys in bokeh's order: what is referred to comes first. "<" by its number: nothing ends the element.
     data = json.dumps(item, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -72,7 +59,7 @@ def interactive_of(
             f"<script>{start}</script>",
         ]
     )
-    return Interactive(Markup('<div id="{}"></div>').format(PLACE), Markup(scripts))
+    return Markup(scripts)
 
 
 @cache

@@ -1,8 +1,8 @@
 """Overview of many reports: a page with one card for each, and a digest for the terminal."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from hammerstein.experiment.report import (
@@ -11,6 +11,7 @@ from hammerstein.experiment.report import (
     is_direct,
     labels_of,
     number,
+    spread,
     told_apart,
 )
 from hammerstein.metrics import Row
@@ -27,34 +28,8 @@ MOST_SHOWN = 3  # headlines on the terminal
 MOST_LINES = 7  # of what an assessment found, on the terminal
 
 
-@dataclass(frozen=True)
-class Card:
-    """One scenario.
-
-    page, picture : links to its report and its key figure; the picture may be missing
-    told : meaning of the numbers
-    worst : label and worst error of each compensator or model, best first
-    beyond : omitted conditions, in which the drive's range clipped the voltages of every compensator
-    """
-
-    name: str
-    question: str
-    page: str
-    picture: str
-    told: str
-    worst: tuple[tuple[str, str], ...]
-    more: int
-    beyond: str
-    verdicts: str
-
-
-@dataclass(frozen=True)
-class Section:
-    """Cards under one heading; lines give the result of an assessment over all of them."""
-
-    title: str
-    lines: tuple[str, ...]
-    cards: tuple[Card, ...]
+Card = dict[str, Any]
+"""One scenario, as the template shows it."""
 
 
 def write_overview(reports: Sequence[Report], out: Path, overwrite: bool = False) -> tuple[Path, ...]:
@@ -95,32 +70,36 @@ def _assessed(reports: Sequence[Report]) -> dict[type[Assessment], list[Report]]
     return found
 
 
-def _sections(reports: Sequence[Report], out: Path) -> Iterator[Section]:
-    """Examples first; assessed scenarios have a section of their own below."""
+def _sections(reports: Sequence[Report], out: Path) -> Iterator[tuple[str, list[str], list[Card]]]:
+    """Title, result of an assessment over all, and cards; examples first, assessed ones below."""
     assessed = _assessed(reports)
     judged = {id(report) for group in assessed.values() for report in group}
-    examples = tuple(_card(report, out) for report in reports if id(report) not in judged)
+    examples = [_card(report, out) for report in reports if id(report) not in judged]
     if examples:
-        yield Section("Examples" if assessed else "", (), examples)
+        yield "Examples" if assessed else "", [], examples
     for kind, group in assessed.items():
-        yield Section(kind.title, tuple(kind.tally(group)), tuple(_card(report, out) for report in group))
+        yield kind.title, kind.tally(group), [_card(report, out) for report in group]
 
 
 def _card(report: Report, out: Path) -> Card:
+    """Links to its report and its key figure, and the worst error of each compensator or model, best first.
+
+    It also names omitted conditions, in which the drive's range clipped the voltages of every compensator.
+    """
     drawn = [name for name in Manifest.read(out / report.name).files if name.endswith(".svg")]
     picture = min(drawn, key=place_of, default="")
     worst, words = _worst(report), [judgement.word for judgement in report.judgements]
-    return Card(
-        name=report.name,
-        question=report.scenario.question,
-        page=quote(f"{report.name}/report.html"),
-        picture=quote(f"{report.name}/{picture}") if picture else "",
-        told=_told(report),
-        worst=tuple(worst[:MOST_SHOWN]),
-        more=max(0, len(worst) - MOST_SHOWN),
-        beyond=_beyond_range(report),
-        verdicts=", ".join(f"{words.count(word)} {word}" for word in sorted(set(words))),
-    )
+    return {
+        "name": report.name,
+        "question": report.scenario.question,
+        "page": quote(f"{report.name}/report.html"),
+        "picture": quote(f"{report.name}/{picture}") if picture else "",
+        "told": _told(report),
+        "worst": tuple(worst[:MOST_SHOWN]),
+        "more": max(0, len(worst) - MOST_SHOWN),
+        "beyond": _beyond_range(report),
+        "verdicts": ", ".join(f"{words.count(word)} {word}" for word in sorted(set(words))),
+    }
 
 
 def _conditions(report: Report) -> str:
@@ -187,8 +166,7 @@ def _worst(report: Report) -> list[tuple[str, str]]:
             metric = "euclidean_max_true_um" if row.euclidean_max_true_um else "max_true_um"
             band, value = bands.get((metric, *row.place)), getattr(row, metric)
             if band is not None:
-                spread = f"({number(band.p5_um)} to {number(band.p95_um)})"
-                values.append((band.p95_um, f"{number(band.median_um)} {spread}"))
+                values.append((band.p95_um, spread(band)))
             elif value is not None:
                 values.append((value, number(value)))
         if values:

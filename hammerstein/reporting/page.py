@@ -16,7 +16,6 @@ from xml.etree import ElementTree
 from markupsafe import Markup, escape
 
 from hammerstein.escaping import Markdown, templates_of, unbroken
-from hammerstein.reporting.interactive import Interactive
 from hammerstein.runtime.staging import Stage
 
 if TYPE_CHECKING:
@@ -34,35 +33,9 @@ LEVEL = 8
 """Letters of a head that a telephone does not turn upright in such a table."""
 LONGEST_NUMBER = 36
 """Characters of a cell; a longer one holds words."""
+NO_PLOTS = Markup()
 _OPTION = re.compile(r"(?<!\S)--?[a-z][\w-]*")
 """Option of a command, in which no line ends."""
-
-
-@dataclass(frozen=True)
-class Link:
-    """A file that belongs to a page.
-
-    name : of the file beside the page; href : that, or all of it
-    """
-
-    name: str
-    href: str
-
-
-@dataclass(frozen=True)
-class Heading:
-    """A part of a page and its anchor."""
-
-    text: str
-    id: str
-
-
-def link_to(name: str, content: str, media_type: str) -> Link:
-    """Link that holds the whole file where it is small, so that it comes along with the page."""
-    data = content.encode("utf-8")
-    if len(data) > LARGEST_LINK_BYTES:
-        return Link(name, name)
-    return Link(name, f"data:{media_type};charset=utf-8;base64,{base64.b64encode(data).decode('ascii')}")
 
 
 def rendered(template: str, **content: Any) -> str:
@@ -81,8 +54,8 @@ def environment() -> Environment:
     return found
 
 
-def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[Markup, list[Heading]]:
-    r"""Markdown of ours as HTML, and its headings of the second level.
+def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[Markup, list[tuple[str, str]]]:
+    r"""Markdown of ours as HTML, and its headings of the second level with their ids.
 
     drawn : figures that its pictures name, as SVG; they stand where the pictures do, each with its caption
 
@@ -110,9 +83,9 @@ def _reader() -> MarkdownIt:
     return MarkdownIt("commonmark", {"html": False}).enable("table")
 
 
-def _anchored(tokens: Sequence[Token]) -> list[Heading]:
+def _anchored(tokens: Sequence[Token]) -> list[tuple[str, str]]:
     """Return each heading an id of its own."""
-    found: list[Heading] = []
+    found: list[tuple[str, str]] = []
     taken: set[str] = set()
     for token, words in pairwise(tokens):
         if token.type == "heading_open":
@@ -121,7 +94,7 @@ def _anchored(tokens: Sequence[Token]) -> list[Heading]:
             id_ = next(i for i in (stem, *(f"{stem}-{n}" for n in range(2, len(tokens)))) if i not in taken)
             taken.add(id_)
             token.attrSet("id", id_)
-            found += [Heading(text, id_)] * (token.tag == "h2")
+            found += [(text, id_)] * (token.tag == "h2")
     return found
 
 
@@ -238,6 +211,14 @@ class NumberFile(NamedTuple):
     content: str
     media_type: str = "application/json"
 
+    @property
+    def href(self) -> str:
+        """Link that holds the whole file where it is small, so that it comes along with the page."""
+        data = self.content.encode("utf-8")
+        if len(data) > LARGEST_LINK_BYTES:
+            return self.name
+        return f"data:{self.media_type};charset=utf-8;base64,{base64.b64encode(data).decode('ascii')}"
+
 
 class Judged(NamedTuple):
     """Result of a judgement in few words, and whether everything is as required."""
@@ -274,11 +255,11 @@ class Page:
         end = Markdown("Every number with full precision is in {}.\n").format(names)
         return Markdown("\n\n").join([self.heading, self.answer, self.body, end])
 
-    def html(self, drawn: Mapping[str, bytes], interactive: Interactive | None = None) -> str:
+    def html(self, drawn: Mapping[str, bytes], interactive: Markup = NO_PLOTS) -> str:
         """Page for a browser; equal values give equal bytes.
 
         drawn : bytes of its figures by name, as SVG
-        interactive : plots to zoom into, if they were asked for
+        interactive : scripts of plots to zoom into, if they were asked for
         """
         body, headings = html_of(self.body, drawn)
         return rendered(
@@ -287,12 +268,11 @@ class Page:
             answer=html_of(self.answer)[0],
             headings=headings,
             body=body,
-            links=[link_to(*file) for file in self.numbers],
             interactive=interactive,
         )
 
     def write(
-        self, stage: Stage, stem: str, drawn: Mapping[str, bytes], interactive: Interactive | None = None
+        self, stage: Stage, stem: str, drawn: Mapping[str, bytes], interactive: Markup = NO_PLOTS
     ) -> None:
         """Write both pages, the figures, and the files with every number."""
         for name, content in drawn.items():

@@ -12,7 +12,7 @@ from hammerstein.experiment.report import Report, Trace, identified_at, is_path,
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
-from hammerstein.reporting.figures.loops import MOST_OVERLAYS
+from hammerstein.reporting.figures.choice import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
 from hammerstein.reporting.figures.sweep import MOST_CURVES
 from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hammerstein.experiment.report import (
     Condition,
@@ -38,8 +39,7 @@ GUESSED = "Its motion beyond is unknown"  # the same
 Quote = Callable[[str], str]
 
 
-@dataclass(frozen=True)
-class Sentence:
+class Sentence(NamedTuple):
     """A sentence of an answer.
 
     table : what it introduces: a head, then one row for each compensator, model or run
@@ -48,23 +48,12 @@ class Sentence:
     words: str
     table: tuple[tuple[str, ...], ...] = ()
 
-    def __str__(self) -> str:
-        return " ".join([self.words, *("; ".join(row) for row in self.table)])
-
-
-def answer(report: Report, quote: Quote = str) -> str:
-    """One paragraph: results, saturated drives, and loops that had not settled.
-
-    Parameters
-    ----------
-    report : report of a run
-    quote : formats a label, for example in italics
-    """
-    return " ".join(map(str, sentences(report, quote)))
-
 
 def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
-    """The result in one sentence, with a table where it has several numbers; then how the runs went."""
+    """The result in one sentence, with a table where it has several numbers; then how the runs went.
+
+    quote : formats a label, for example in italics
+    """
     named = Contest.of(report, quote)
     compared = any(row.rms_um is not None for row in report.rows)
     found = _answered(report, quote) or _uncertain(report, named)

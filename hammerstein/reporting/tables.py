@@ -1,13 +1,14 @@
 """The numbers of a report as compact tables for a page."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from hammerstein.escaping import Markdown
 from hammerstein.experiment.report import (
     PARTS,
     TOO_FEW,
-    Band,
     Condition,
     Report,
     Sensitivity,
@@ -16,8 +17,7 @@ from hammerstein.experiment.report import (
     identified_at,
     is_path,
     number,
-    selected_frequencies,
-    share_held,
+    spread,
 )
 from hammerstein.metrics import Row
 from hammerstein.quantities import by_key
@@ -28,8 +28,7 @@ SHOWN_FREQUENCIES = (1000, 40, 20, 10, 6)  # columns of a table: the first that 
 MOST_LOOPS = 32  # more are left to rms.csv
 
 
-@dataclass(frozen=True)
-class NumberTable:
+class NumberTable(NamedTuple):
     """One table: title, header, lines, and a remark if it omits something."""
 
     title: str
@@ -182,7 +181,8 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 
     def cells(line: Sequence[Row]) -> Iterator[str]:
         found = {(row.excited_axis, row.measured_axis): bands.get(row.place) for row in line}
-        yield from (_band(found.get(transfer)) for transfer in transfers)
+        own = (found.get(transfer) for transfer in transfers)
+        yield from ("" if band is None else spread(band) for band in own)
 
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
     title = (
@@ -222,12 +222,6 @@ def _index(found: Sensitivity | None) -> str:
     return f"{found.total:.2f} ({found.total_low:.2f} to {found.total_high:.2f})"
 
 
-def _band(band: Band | None) -> str:
-    if band is None:
-        return ""
-    return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
-
-
 def _transfer(report: Report, excited: str, measured: str) -> str:
     """``u_x to y`` of a drive in volts, ``x to y`` of a reference."""
     if excited == "all":
@@ -237,3 +231,33 @@ def _transfer(report: Report, excited: str, measured: str) -> str:
 
 def _rms_and_worst(row: Row, which: str) -> str:
     return f"{number(getattr(row, f'rms{which}_um'))} / {number(getattr(row, f'max{which}_um'))}"
+
+
+def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:
+    """At most so many frequencies: the ends, those marked, and others spread evenly between them.
+
+    >>> selected_frequencies([10, 20, 30, 40, 50, 60, 70, 80], [50], 4)
+    [10, 30, 50, 80]
+    """
+    ordered = sorted(set(frequencies))
+    kept = {ordered[0], ordered[-1], *(f for f in marked if f in ordered)}
+    spread = [ordered[round(i * (len(ordered) - 1) / (most - 1))] for i in range(most)]
+    for frequency in spread:
+        if len(kept) < most:
+            kept.add(frequency)
+    return sorted(kept)
+
+
+def share_held(draws: int) -> float:
+    """Part of all actuators that a 5 to 95 % band of so many draws holds at least, with 95 % confidence.
+
+    Between the r-th and the s-th of n draws lies a part of all that is distributed as
+    Beta(s - r, n - s + r + 1) (Wilks, Annals of Mathematical Statistics 12 (1941) 91-96).
+
+    >>> round(share_held(20), 2), round(share_held(300), 2)
+    (0.66, 0.86)
+    """
+    from scipy.special import betaincinv  # SciPy's statistics take a second to load
+
+    between = max(1, math.floor(0.9 * (draws - 1)))
+    return float(betaincinv(between, draws - between + 1, 0.05))

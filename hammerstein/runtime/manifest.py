@@ -9,7 +9,6 @@ import re
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import Enum, auto
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
@@ -80,15 +79,6 @@ class _ManifestFile(Strict):
     files: dict[FileName, FileEntry]
 
 
-class Holder(Enum):
-    """Whose a file is."""
-
-    NOBODY = auto()
-    OURS = auto()
-    EDITED = auto()
-    FOREIGN = auto()
-
-
 @dataclass(frozen=True, eq=False)
 class Manifest:
     """Files that this program wrote into a folder, by name, with the digest of what it wrote."""
@@ -111,19 +101,14 @@ class Manifest:
         """Text of the manifest: sorted keys, no clock and no host."""
         return json.dumps(_ManifestFile(files=dict(self.files)).model_dump(), indent=1, sort_keys=True) + "\n"
 
-    def holder(self, name: str, owner: Owner) -> Holder:
-        """Tell whose the file is that has a name."""
-        path = self.folder / name
+    def is_foreign(self, name: str, owner: Owner) -> bool:
+        """Whether somebody else's file has a name; an empty one is nobody's."""
+        path, entry = self.folder / name, self.files.get(name)
         if through_a_link(self.folder, name):
-            return Holder.FOREIGN
-        if not path.exists():
-            return Holder.NOBODY
-        entry = self.files.get(name)
-        if is_own_file(self.folder, name, EMPTY):
-            return Holder.NOBODY
-        if entry is None or not path.is_file() or (owner.single and entry.owner != owner.name):
-            return Holder.FOREIGN
-        return Holder.OURS if digest_of(path) == entry.sha256 else Holder.EDITED
+            return True
+        if not path.exists() or is_own_file(self.folder, name, EMPTY):
+            return False
+        return entry is None or not path.is_file() or (owner.single and entry.owner != owner.name)
 
     def refuse_foreign(
         self, names: Iterable[str], owner: Owner, overwrite: bool = False, option: str = ""
@@ -136,7 +121,7 @@ class Manifest:
         overwrite : whether ordinary files may be replaced, whoever wrote them
         option : option with the file, such as ``--out``; default: the folder
         """
-        found = [name for name in names if self.holder(name, owner) is Holder.FOREIGN]
+        found = [name for name in names if self.is_foreign(name, owner)]
         if overwrite:
             found = [name for name in found if not is_plain_file(self.folder, name)]
         if not found:

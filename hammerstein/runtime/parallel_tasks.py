@@ -8,11 +8,10 @@ import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
-from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from hammerstein.errors import LostProcessError
@@ -84,9 +83,7 @@ class _Crew(Executor):
 class Threads(_Crew):
     """Threads of this process; after an exception, the block does not wait for running tasks."""
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.shutdown(wait=kind is None, cancel_futures=kind is not None)
 
 
@@ -119,9 +116,7 @@ class Processes(_Crew):
                     worker.process.terminate()
         super().shutdown(wait, cancel_futures=cancel_futures)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.shutdown(cancel_futures=kind is not None)
 
     def _serve(self) -> None:
@@ -267,18 +262,6 @@ AHEAD = 4
 """Tasks a worker that are begun, or done and not yet wanted."""
 
 
-class _Here(Executor):
-    """Does each task at once, where it is handed over."""
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        future: Future[T] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 def completed(result: T) -> Future[T]:
     """Return a known result as a finished task."""
     future: Future[T] = Future()
@@ -313,10 +296,17 @@ def in_order(
     ------
     the error of the first task, in this order, that fails; no further task is started then
     """
+    if jobs == 1:
+        for number, task in enumerate(tasks):
+            result = task.result() if isinstance(task, Future) else task()
+            if finished is not None:
+                finished(number, result)
+            yield result
+        return
     ready: dict[int, Future[T]] = {}
     wanted = 0
-    with _executor(jobs) as executor:
-        for batch in spread(tasks, executor, lambda: 1 if jobs == 1 else AHEAD * workers_of(jobs)):
+    with Threads(jobs) if isinstance(jobs, int) else nullcontext(jobs) as executor:
+        for batch in spread(tasks, executor, lambda: AHEAD * workers_of(jobs)):
             for number, future in batch:
                 if finished is not None and future.exception() is None:
                     finished(number, future.result())
@@ -350,10 +340,3 @@ def spread(
     finally:
         for future in under_way:
             future.cancel()
-
-
-def _executor(jobs: Jobs) -> AbstractContextManager[Executor]:
-    """Return an executor that ends with this block, or the given one, which does not."""
-    if isinstance(jobs, Executor):
-        return nullcontext(jobs)
-    return _Here() if jobs == 1 else Threads(jobs)

@@ -9,7 +9,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -75,13 +75,10 @@ def free_bytes() -> float:
 
 def _of_the_groups() -> Iterator[float]:
     """Memory that is free in the control groups of this process."""
-    for folder, second in groups("memory"):
-        names = ("memory.max", "memory.current")
-        if not second:
-            names = ("memory.limit_in_bytes", "memory.usage_in_bytes")
-        limit, used = (numbers(folder / name) for name in names)
-        if limit and used and limit[0] < UNLIMITED:
-            yield max(limit[0] - used[0], 0.0)
+    older = ("memory.limit_in_bytes", "memory.usage_in_bytes")
+    for limit, used in _limits("memory", ("memory.max", "memory.current"), older):
+        if limit < UNLIMITED:
+            yield max(limit - used, 0.0)
 
 
 def _of_the_process() -> Iterator[float]:
@@ -120,6 +117,14 @@ def groups(controller: str) -> Iterator[tuple[Path, bool]]:
                 break
 
 
+def _limits(controller: str, second: Sequence[str], first: Sequence[str]) -> Iterator[tuple[float, float]]:
+    """Limit and its measure in every group that has both: in files of version 2, or of version 1."""
+    for folder, is_second in groups(controller):
+        found = [one for name in (second if is_second else first) for one in numbers(folder / name)]
+        if len(found) == 2:
+            yield found[0], found[1]
+
+
 def numbers(file: Path) -> list[float]:
     """Numbers in a file of the system; none for one that says "max" or is not there."""
     try:
@@ -142,13 +147,9 @@ def processors() -> int:
 
 def _shares() -> Iterator[float]:
     """Time of processors in each time, as far as groups around this process limit it."""
-    for folder, second in groups("cpu"):
-        if second:
-            limit = numbers(folder / "cpu.max")
-        else:
-            limit = [*numbers(folder / "cpu.cfs_quota_us"), *numbers(folder / "cpu.cfs_period_us")]
-        if len(limit) == 2 and min(limit) > 0.0:  # without a limit the first one is -1
-            yield limit[0] / limit[1]
+    for quota, period in _limits("cpu", ("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")):
+        if min(quota, period) > 0.0:  # without a limit the first one is -1
+            yield quota / period
 
 
 def cache_folder() -> Path | None:

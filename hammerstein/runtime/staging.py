@@ -146,11 +146,6 @@ class Stage:
         """Names of the files that were made."""
         return [name for name in self._digests if name != MANIFEST]
 
-    @property
-    def written(self) -> list[Path]:
-        """Places of the files, once they are there."""
-        return [self.folder / name for name in self.names]
-
     def publish(self) -> None:
         """Exchange the files of the earlier run for these."""
         before, new = Manifest.read(self.folder), dict(self._digests)

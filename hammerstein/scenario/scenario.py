@@ -62,20 +62,16 @@ class Sweep(Strict):
     def combinations(self, only: str | None = None) -> Iterator[dict[str, float]]:
         """Every combination of the values, by key; of one key alone if ``only`` names it."""
         swept = self.values()
-        if not self.is_zip:
+        together = self.combine == "zip"
+        if not together:
             swept = [(name, values) for name, values in swept if only in (None, name)]
         names, values = [name for name, _ in swept], [values for _, values in swept]
-        for found in zip(*values, strict=True) if self.is_zip else itertools.product(*values):
+        for found in zip(*values, strict=True) if together else itertools.product(*values):
             yield {name: value for name, value in zip(names, found, strict=True) if only in (None, name)}
-
-    @property
-    def is_zip(self) -> bool:
-        """Whether the values of several keys belong together."""
-        return self.combine == "zip"
 
     def others(self, name: str) -> int:
         """How many combinations each value of one key is in."""
-        if self.is_zip:
+        if self.combine == "zip":
             return 1
         return math.prod(len(values) for key, values in self.values() if key != name)
 
@@ -170,7 +166,7 @@ class Scenario(WithInfinity):
         yield from self._never_tested()
         signal = self.reference or self.drive
         lengths = {key: len(values) for key, values in self.sweep.values()}
-        if self.sweep.is_zip and len(set(lengths.values())) != 1:
+        if self.sweep.combine == "zip" and len(set(lengths.values())) != 1:
             told = ", ".join(f"{key} {length}" for key, length in lengths.items()) or "no key has any"
             yield f'sweep.combine = "zip" needs equally many values of each key: {told}'
         for key in lengths:

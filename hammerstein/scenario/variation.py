@@ -129,6 +129,10 @@ class _Given:
         return self._numbers[first] if size is None else self._numbers[first : self._next]
 
 
+Drawn = tuple[HammersteinModel, Instruments]
+"""One random actuator."""
+
+
 class Parameter(NamedTuple):
     """One uncertain parameter: its name, how many normal numbers it needs, and whether it varies."""
 
@@ -172,9 +176,7 @@ class Uncertainty(Strict):
             raise ValueError(f"must be a power of two, as a Sobol sequence needs it; {near} is near")
         return samples
 
-    def draw(
-        self, model: HammersteinModel, instruments: Instruments, number: int
-    ) -> tuple[HammersteinModel, Instruments]:
+    def draw(self, model: HammersteinModel, instruments: Instruments, number: int) -> Drawn:
         """Actuator and instruments of one draw; it does not depend on how many are drawn.
 
         Raises InputError where standard errors are asked for and the model has no covariance, or where axes
@@ -182,9 +184,7 @@ class Uncertainty(Strict):
         """
         return self.drawn(model, instruments, np.random.default_rng([self.seed, number]))
 
-    def of(
-        self, model: HammersteinModel, instruments: Instruments, normal: Array
-    ) -> tuple[HammersteinModel, Instruments]:
+    def of(self, model: HammersteinModel, instruments: Instruments, normal: Array) -> Drawn:
         """Actuator and instruments of standard normal numbers, in the order of ``parameters``."""
         given = _Given(normal)
         found = self.drawn(model, instruments, given)
@@ -209,9 +209,7 @@ class Uncertainty(Strict):
             )
         return (*found, Parameter("noise", 1, self.noise > 0.0))
 
-    def drawn(
-        self, model: HammersteinModel, instruments: Instruments, generator: Normals
-    ) -> tuple[HammersteinModel, Instruments]:
+    def drawn(self, model: HammersteinModel, instruments: Instruments, generator: Normals) -> Drawn:
         """Actuator and instruments of the standard normal numbers that a generator gives."""
         drawn = _weights_drawn(model, self.weights, generator)
         drawn = replace(drawn, dynamics=self._dynamics_drawn(drawn, generator), covariance=None)

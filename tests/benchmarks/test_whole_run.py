@@ -53,7 +53,7 @@ clocked(experiment, "set_up", "models, kept from the run before, and laws")
 clocked(experiment, "run", "run")
 clocked(choice, "figures_of", "building the figures")
 clocked(write, "svg_of", "drawing them")
-clocked(folder, "write_report", "write")
+clocked(folder.Writer, "__call__", "write")
 import sys
 loaded = experiment.load_all([Path(sys.argv[1])])
 for outcome in experiment.run_all(loaded, folder.Writer(Path(sys.argv[2])), 1):

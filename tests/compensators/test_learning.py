@@ -22,14 +22,13 @@ from hammerstein.compensators.cycle import centred
 from hammerstein.compensators.learning import LearnedLaw, ModelUncertainty, ilc_update
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.errors import InputError
-from hammerstein.experiment.report import TRIAL
 from hammerstein.experiment.run import run
 from hammerstein.experiment.set_up import set_up
 from hammerstein.experiment.simulated_identification import IlcRun, whole_period
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
-from hammerstein.reporting.figures.choice import figures_of, sweep_curves
+from hammerstein.reporting.figures.choice import TRIAL, figures_of, sweep_curves
 from hammerstein.reporting.summary import sentences
 from hammerstein.scenario import Scenario, load_scenario
 from hammerstein.scenario.variation import Uncertainty

@@ -12,7 +12,7 @@ from hammerstein.commands.contents import contents_of
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.reporting.folder import write_report
+from hammerstein.reporting.folder import Writer
 
 STOPS = ((3.0, 0.3), (2.0, 1.0), (1.0, 4.0))
 
@@ -133,9 +133,9 @@ def scenario(tmp_path, law):
 
 def test_a_scenario_runs_on_it(tmp_path):
     report = hammerstein.run(scenario(tmp_path, "none"))
-    write_report(report, tmp_path / "report", figures=False)
+    Writer(tmp_path, figures=False)(report)
     assert (
-        "electromechanical stacks: 400.1 Hz with 3 stops" in (tmp_path / "report" / "report.md").read_text()
+        "electromechanical stacks: 400.1 Hz with 3 stops" in (tmp_path / "scenario" / "report.md").read_text()
     )
 
 
@@ -159,7 +159,7 @@ def test_gain_is_that_of_slow_settled_loops(tmp_path):
     x = model.simulate(u[None], 1e-5).position_um[0, 50_000:]
     assert 0.5 * np.ptp(x) / 50.0 == pytest.approx(expected, rel=2e-3)
     model.save(tmp_path / "stack.json")
-    shown = dict(contents_of(tmp_path / "stack.json").facts)
+    shown = dict(contents_of(tmp_path / "stack.json")[1])
     assert shown["gain of x [um/V]"] == f"{expected:.4g} from u"
     assert shown["hysteresis"].endswith("gains without hysteresis")
 

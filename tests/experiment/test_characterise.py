@@ -7,7 +7,7 @@ from shipped.paper_actuators import with_thresholds
 
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Voltages
-from hammerstein.commands.option_groups import Identified
+from hammerstein.commands.records import Identified
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.experiment import simulated_identification

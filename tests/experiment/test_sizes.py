@@ -89,7 +89,7 @@ def test_identifications_on_other_actuators_are_in_the_plan():
 def test_a_slower_processor_takes_longer(monkeypatch):
     def planned(trial_s):
         slowness.cache_clear()
-        monkeypatch.setattr("hammerstein.experiment.plan._trial_s", lambda: trial_s)
+        monkeypatch.setattr("timeit.repeat", lambda *_, **__: [trial_s])
         return plan_of(_scenario(uncertainty={"draws": 10})).seconds
 
     assert planned(3e-3) == pytest.approx(3.0 * planned(1e-3))

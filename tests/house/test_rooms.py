@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import hammerstein
 from hammerstein.commands.cli import app
 from hammerstein.model.model import packaged_actuators
-from hammerstein.reporting.folder import write_report
+from hammerstein.reporting.folder import Writer
 
 PACKAGE = Path(hammerstein.__file__).parent
 SCENARIO = {
@@ -32,7 +32,7 @@ def calls(tmp_path_factory):
     folder, run = tmp_path_factory.mktemp("reports"), hammerstein.run  # to look it up is no step of a run
 
     def to_a_report(name):
-        write_report(run(SCENARIO), folder / name, figures=False)
+        Writer(folder / name, figures=False)(run(SCENARIO))
 
     found = set()
 

@@ -20,12 +20,11 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 from hammerstein.reporting.figures import LoopRun, figures_of, loops_figure
-from hammerstein.reporting.figures.choice import SensitivityBars, sensitivity_figure
-from hammerstein.reporting.figures.compared import compared_figure
-from hammerstein.reporting.figures.loops import legend_labels, legible_parts
+from hammerstein.reporting.figures.choice import legend_labels, legible_parts
+from hammerstein.reporting.figures.identified import compared_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.style import letter, line_style, new_figure, plain_numbers, styled
-from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
+from hammerstein.reporting.figures.sweep import SweepCurve, sensitivity_figure, sweep_figure
 
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
 MODEL = {"label": "model", "identification": {}}
@@ -199,7 +198,7 @@ def test_sweep_of_an_uncertain_actuator_has_bands() -> None:
 def test_a_band_on_a_linear_axis_is_not_cut() -> None:
     """The axis was fitted to the medians: the band of a first trial went beyond it."""
     values = np.array([[[0.7, 0.57, 0.57]]])
-    curve = SweepCurve("learned", np.arange(1.0, 4.0), values, band=(0.9 * values, 2.0 * values))
+    curve = SweepCurve("learned", np.arange(1.0, 4.0), values, band=(0.9 * values, 2.0 * values, values))
     (axes,) = sweep_figure([curve], [["x"]], "rms error").axes
     assert axes.get_yscale() == "linear"
     assert axes.get_ylim()[0] == 0.0
@@ -210,8 +209,8 @@ def test_a_band_on_a_linear_axis_is_not_cut() -> None:
 def test_bands_of_several_compensators_stand_beside_each_other(x: list[float]) -> None:
     """Areas would hide each other: every band has bars of its own from its lower to its upper edge."""
     at, values = np.array(x), np.array([[[1.0, 2.0, 3.0]]])
-    band = (0.5 * values, 2.0 * values)
-    curves = [SweepCurve(label, at, values, band=band, nominal=values) for label in "abc"]
+    band = (0.5 * values, 2.0 * values, values)
+    curves = [SweepCurve(label, at, values, band=band) for label in "abc"]
     (axes,) = sweep_figure(curves, [["x"]], "rms error").axes
     assert not axes.collections
     bars = [line for line in axes.lines if np.isnan(line.get_ydata()).any()]
@@ -226,8 +225,8 @@ def test_bands_of_several_compensators_stand_beside_each_other(x: list[float]) -
 
 def test_an_index_that_too_few_draws_give_is_not_drawn() -> None:
     index, none = [0.4, 0.3, 0.5], [np.nan] * 3
-    bars = SensitivityBars("exact", ("weights", "noise"), np.array([index, none]), np.array([index, none]))
-    (axes,) = sensitivity_figure([bars]).axes
+    indices = np.array([index, none])
+    (axes,) = sensitivity_figure(["weights", "noise"], {"exact": (indices, indices)}).axes
     assert [text.get_text().strip() for text in axes.texts] == ["too few draws"]
     assert [patch.get_width() for patch in axes.patches] == [0.4, 0.4, 0.0]
     assert not Sensitivity(

@@ -21,7 +21,7 @@ from hammerstein.metrics import KEY, METRICS, Row
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.figures import figures_of
 from hammerstein.reporting.run_page import KEYS, run_page
-from hammerstein.reporting.summary import answer, sentences, unsettled_runs
+from hammerstein.reporting.summary import sentences, unsettled_runs
 from hammerstein.reporting.tables import number_tables
 
 SINE_V = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
@@ -36,6 +36,12 @@ SIX = {"frequency_hz": TEN["frequency_hz"][:6]}
 
 def report_of(**content: Any) -> Report:
     return run({"question": "How good?", "actuator": "duo_bimorph_static"} | content, "test")
+
+
+def answer(report: Report, **quote: Any) -> str:
+    """All sentences and tables in one line."""
+    found = sentences(report, **quote)
+    return " ".join(text for one in found for text in (one.words, *("; ".join(row) for row in one.table)))
 
 
 def of_figure(figure: str) -> dict[str, str]:

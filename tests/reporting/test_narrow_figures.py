@@ -41,7 +41,7 @@ def _errors_of_three() -> Figure:
 def _sweep_with_a_band(columns: int = 1) -> Figure:
     x = np.array([10.0, 20.0, 50.0, 100.0, 200.0, 300.0])
     values = np.ones((1, columns, 6)) * x
-    curve = SweepCurve("model", x, values, mark=50.0, band=(0.5 * values, 2.0 * values), nominal=1.1 * values)
+    curve = SweepCurve("model", x, values, mark=50.0, band=(0.5 * values, 2.0 * values, 1.1 * values))
     return sweep_figure([curve], [["panel"] * columns], "error [um]", "A band")
 
 

@@ -21,7 +21,7 @@ from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting import page as page_module
 from hammerstein.reporting.check_page import check_page
 from hammerstein.reporting.figures.moved import courses_of, moved_figure
-from hammerstein.reporting.page import html_of, inlined, link_to
+from hammerstein.reporting.page import NumberFile, html_of, inlined
 from hammerstein.scenario.scenario import Tolerance
 
 EVIL = "</script><script>window.hit=1</script><img src=x onerror=window.hit=2>$$x$$ &lt; =1+1"
@@ -191,8 +191,8 @@ def test_open_shows_the_page(
 
 
 def test_a_small_file_comes_along_and_a_large_one_is_linked() -> None:
-    assert link_to("rms.csv", "a,b\n", "text/csv").href == "data:text/csv;charset=utf-8;base64,YSxiCg=="
-    assert link_to("rms.csv", "x" * 200_001, "text/csv").href == "rms.csv"
+    assert NumberFile("rms.csv", "a,b\n", "text/csv").href == "data:text/csv;charset=utf-8;base64,YSxiCg=="
+    assert NumberFile("rms.csv", "x" * 200_001, "text/csv").href == "rms.csv"
 
 
 def test_markdown_of_ours_is_read_and_html_is_not() -> None:

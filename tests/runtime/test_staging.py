@@ -74,7 +74,7 @@ def test_old_files_go_new_ones_come_and_others_stay(tmp_path):
     (folder / "traces" / "mine.txt").write_text("mine")
     stage = write(folder, NEW)
     assert read(folder) == NEW | {"mine.txt": "mine", "traces/mine.txt": "mine"}
-    assert [p.name for p in stage.written] == ["a.txt", "d.txt", "e.txt"]
+    assert stage.names == ["a.txt", "d.txt", "traces/e.txt"]
     assert not (folder / ROOM).exists()
 
 

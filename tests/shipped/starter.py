@@ -15,7 +15,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.records.reading import read_records
 from hammerstein.regression.compare import Baseline
 from hammerstein.reporting.fit_page import write_fit
-from hammerstein.reporting.folder import write_report
+from hammerstein.reporting.folder import Writer
 from hammerstein.signals import Multisine, Sine
 
 SAMPLE_TIME_S, AMPLITUDE_V = 50e-6, 10.0
@@ -31,7 +31,7 @@ def build(folder: Path) -> None:
     files = [write_record(folder, axis) for axis in range(2)]
     identify_stage(files, folder / "stage.json")
     report = run(folder / "circle.toml")
-    write_report(report, folder / "reports/circle")
+    Writer(folder / "reports")(report)
     Baseline.of(report).save(folder / "reports/baseline/circle.json")
 
 

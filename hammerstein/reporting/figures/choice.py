@@ -2,176 +2,81 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import (
-    FREQUENCY,
-    TOO_FEW,
     Band,
     Condition,
-    Over,
     Report,
     Trace,
     banded_metric,
     identified_at,
-    swept_over,
     told_apart,
 )
 from hammerstein.metrics import Row
+from hammerstein.metrics.arrays import settled_cycle
 from hammerstein.quantities import by_key
-from hammerstein.reporting.figures.loops import (
-    MOST_CURVES,
-    error_runs,
-    errors_figure,
-    legible_parts,
-    loop_runs,
-    loops_figure,
-    swept_label,
-)
+from hammerstein.reporting.figures.loops import ErrorRun, LoopRun, errors_figure, loops_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
-from hammerstein.reporting.figures.style import (
-    DARK,
-    Role,
-    few_ticks,
-    legend_above,
-    letter,
-    line_style,
-    new_figure,
-    plain,
-    side_by_side,
-    sparse_markers,
-    styled,
-    symbol,
-    thin_path,
+from hammerstein.reporting.figures.style import Role, plain, symbol
+from hammerstein.reporting.figures.sweep import (
+    DriftRun,
+    SweepCurve,
+    drift_figure,
+    sensitivity_figure,
+    sweep_figure,
 )
-from hammerstein.reporting.figures.sweep import SweepCurve, sweep_figure
 from hammerstein.scenario.scenario import Sweep
 from hammerstein.signals import OnAxes
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
-MOST_CYCLES = 1000  # points of a curve
-MINUTES_FROM_S = 180.0
-"""Longer runs have an axis in minutes."""
-
-
-@dataclass(frozen=True, eq=False)
-class DriftRun:
-    """Mean error of every cycle.
-
-    label : compensator; axis : number of the axis from 0
-    time_s : (cycle,) middle of each cycle [s]; mean_um : (cycle,) mean error of the true position [um]
-    """
-
-    label: str
-    axis: int
-    time_s: Array
-    mean_um: Array
-
-
-def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
-    """Mean error of each cycle over time, a panel for each axis that has runs."""
-    axes_shown = sorted({run.axis for run in runs})
-    labels = list(dict.fromkeys(run.label for run in runs))
-    longest = max(float(run.time_s[-1]) for run in runs)
-    factor, unit = (1.0 / 60.0, "min") if longest > MINUTES_FROM_S else (1.0, "s")
-    rows, columns = side_by_side(len(axes_shown))
-    with styled():
-        figure = new_figure(0.8 + 2.3 * rows, columns)
-        panels = figure.subplots(rows, columns, squeeze=False).flat
-        entries: dict[str, Artist] = {}
-        for number, (axis, axes) in enumerate(zip(axes_shown, panels, strict=False)):
-            for run in (run for run in runs if run.axis == axis):
-                time, mean = thin_path([run.time_s * factor, run.mean_um], MOST_CYCLES)
-                place = labels.index(run.label)
-                markers = sparse_markers(len(mean), place)
-                (line,) = axes.plot(
-                    time, mean, markevery=markers, label=plain(run.label), **line_style(place)
-                )
-                entries[plain(run.label)] = line
-            axes.set_ylabel(f"mean error of {names[axis]} [µm]")
-            axes.margins(x=0.01)
-            few_ticks(axes)
-            axes.set_xlabel(f"time [{unit}]")
-            letter(axes, number)
-        legend_above(figure, entries, "True position: mean error of each cycle")
-    return figure
-
-
-FILLED = 0.8  # of the height that a parameter has
-PALE_ALPHA = 0.35
-"""Of the total effect, behind the first order."""
-
-
-@dataclass(frozen=True, eq=False)
-class SensitivityBars:
-    """Indices of one compensator.
-
-    label : what the legend calls it
-    parameters : names, from the top
-    first, total : (parameter, 3) index of the parameter alone and with others, and its lower and upper limit;
-        NaN where the draws were too few
-    """
-
-    label: str
-    parameters: tuple[str, ...]
-    first: Array
-    total: Array
-
-
-def sensitivity_figure(bars: Sequence[SensitivityBars], title: str = "") -> Figure:
-    """First and total indices as bars, a group for each parameter; none where the draws were too few.
-
-    Parameters
-    ----------
-    bars : what to draw; all have the same parameters
-    title : written above the legend
-
-    Examples
-    --------
-    >>> index = np.array([[0.7, 0.6, 0.8], [0.2, 0.1, 0.3]])
-    >>> figure = sensitivity_figure([SensitivityBars("exact", ("weights", "noise"), index, index)])
-    >>> [label.get_text() for label in figure.axes[0].get_yticklabels()]
-    ['weights', 'noise']
-    """
-    names = bars[0].parameters
-    places, height = np.arange(len(names), dtype=np.float64), FILLED / len(bars)
-    with styled():
-        figure = new_figure(1.2 + 0.24 * len(names) * max(2, len(bars)), columns=1)
-        axes = figure.subplots()
-        entries: dict[str, Artist] = {}
-        for number, own in enumerate(bars):
-            colour = line_style(number)["color"]
-            middle = places + height * (number - 0.5 * (len(bars) - 1))
-            known = np.isfinite(own.total[:, 0])
-            total, low, high = own.total[known].T
-            axes.barh(middle[known], total, height, color=colour, alpha=PALE_ALPHA, linewidth=0.0)
-            first = np.nan_to_num(own.first[:, 0])
-            alone = axes.barh(middle, first, 0.6 * height, color=colour, linewidth=0.0)
-            entries[own.label] = alone.patches[0]
-            axes.hlines(middle[known], low, high, color=DARK, linewidth=0.8)
-            for place in middle[~known]:
-                axes.text(0.0, place, f" {TOO_FEW}", color=colour, va="center")
-        axes.set_yticks(places, names)
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
-        axes.set_xlabel("share of the variance")
-        axes.set_xlim(left=min(0.0, *(float(np.nan_to_num(own.first[:, 0]).min()) for own in bars)))
-        letter(axes, 0)
-        legend_above(figure, entries, title)
-    return figure
-
-
+MOST_CURVES = 6  # loops in one panel
+MOST_OVERLAYS = 4  # models drawn over a loop
+MOST_PHASES = 2000  # samples of a mean cycle
+SWEPT_WORDS = {
+    "frequency_hz": "{:g} Hz",
+    "amplitude_um": "{:g} µm",
+    "amplitude_v": "{:g} V",
+    "radius_um": "radius {:g} µm",
+    "trial": "trial {:g}",
+}
 MOST_LOOPS = 4  # frequencies of a run that are drawn as loops; more make a curve over frequency
 DRIFT = "drift_true_um"
 MOST_SHOWN_VALUES = 12  # values of a sweep at which loops and paths can be looked at
+
+
+class Over(NamedTuple):
+    """What curves of a report are drawn over.
+
+    key : of a row; words : label of the axis; figure : how the files of its figures begin
+    """
+
+    key: str
+    words: str
+    figure: str
+
+    def of(self, row: Row) -> float:
+        """Value of a row."""
+        return float(getattr(row, self.key) or 0.0)
+
+
+FREQUENCY = Over("frequency_hz", "frequency [Hz]", "sweep")
+TRIAL = Over("trial", "trial", "trials")
+
+
+def swept_over(report: Report, most: int) -> Over | None:
+    """Trials where there are several, else more than so many frequencies; None for single runs."""
+    if len({row.trial for row in report.rows}) > 1:
+        return TRIAL
+    return FREQUENCY if len({row.frequency_hz for row in report.rows}) > most else None
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
@@ -237,18 +142,17 @@ def _sensitivity(report: Report) -> dict[str, Figure]:
         before = worst.get(band.compensator)
         if band.metric == metric and (before is None or band.p95_um > before.p95_um):
             worst[band.compensator] = band
-    bars = []
+    bars, names = dict[str, tuple[Array, Array]](), list[str]()
     for label, band in worst.items():
         found = [one for one in own if one.place == band.place]
         if found:
             known = np.array([[1.0 if one.is_estimated else np.nan] for one in found])
             first = known * [(one.first, one.first_low, one.first_high) for one in found]
             total = known * [(one.total, one.total_low, one.total_high) for one in found]
-            names = tuple(plain(one.parameter) for one in found)
-            where = f"{plain(label)}, {band.frequency_hz:g} Hz, {plain(band.measured_axis)}"
-            bars.append(SensitivityBars(where, names, first, total))
+            names = [plain(one.parameter) for one in found]
+            bars[f"{plain(label)}, {band.frequency_hz:g} Hz, {plain(band.measured_axis)}"] = first, total
     title = f"Causes of the spread of the {words} of the true position"
-    return {"sensitivity": sensitivity_figure(bars, title)} if bars else {}
+    return {"sensitivity": sensitivity_figure(names, bars, title)} if bars else {}
 
 
 def _drift(report: Report) -> dict[str, Figure]:
@@ -287,9 +191,9 @@ def _loops(report: Report, whole: bool) -> dict[str, Figure]:
         whose = f"{plain(traces[0].label)}: " if suffix else ""
         title = _headed(f"{quantity} over {role}{mean}", whose)
         figures[f"loops{suffix}"] = loops_figure(
-            loop_runs(report, traces, true), inputs, outputs, title, ideal=not volts
+            list(loop_runs(report, traces, true)), inputs, outputs, title, ideal=not volts
         )
-        errors = error_runs(report, traces)
+        errors = list(error_runs(report, traces))
         if errors and (whole or len({run.label for run in errors}) <= MOST_CURVES):
             figures[f"errors{suffix}"] = errors_figure(errors, driven, errors_of, _headed(wrong, whose))
     return figures
@@ -359,14 +263,15 @@ def sweep_curves(report: Report, merit: str, over: Over) -> list[SweepCurve]:
         places = sorted({over.of(row) for row in rows})
         where = [(row, places.index(over.of(row))) for row in rows]
         found = [(row, at, bands[row.place]) for row, at in where if row.place in bands]
-        low = _grid(report, len(places), [(row, at, band.p5_um) for row, at, band in found])
-        high = _grid(report, len(places), [(row, at, band.p95_um) for row, at, band in found])
-        middle = _grid(report, len(places), [(row, at, band.median_um) for row, at, band in found])
+        low, middle, high = (
+            _grid(report, len(places), [(row, at, getattr(band, part)) for row, at, band in found])
+            for part in ("p5_um", "median_um", "p95_um")
+        )
         values = _grid(report, len(places), [(row, at, getattr(row, merit)) for row, at in where])
         mark = identified.get(rows[0].compensator)
         x = np.array(places)
         if found:  # the line of a band is its median
-            curves.append(SweepCurve(label, x, middle, mark, (low, high), nominal=values))
+            curves.append(SweepCurve(label, x, middle, mark, (low, high, values)))
         else:
             curves.append(SweepCurve(label, x, values, mark))
     return curves
@@ -450,3 +355,87 @@ def path_runs_of(report: Report, trace: Trace, true: bool) -> Iterator[PathRun]:
         yield PathRun(p.label, group, time_s, response.reading_um, p.reading_um, **drawn)
     if not trace.predictions:
         yield PathRun("reading", group, time_s, None, response.reading_um, **drawn)
+
+
+def legible_parts(traces: Sequence[Trace]) -> dict[str, list[Trace]]:
+    """All traces in one figure if it stays legible, otherwise one figure for each compensator; by suffix."""
+    labels = list(dict.fromkeys(trace.label for trace in traces))
+    curves = {(trace.label, repr(trace.signal), trace.trial) for trace in traces}
+    if len(curves) <= MOST_CURVES or len(labels) == 1:
+        return {"": list(traces)}
+    return {
+        f"_{number}_{slug(label)}": [trace for trace in traces if trace.label == label]
+        for number, label in enumerate(labels, start=1)
+    }
+
+
+def slug(label: str) -> str:
+    """Part of a file name.
+
+    >>> slug("paper's law, 50 Hz")
+    'paper_s_law_50_hz'
+    """
+    return re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")[:40]
+
+
+def swept_label(trace: Trace, sweep: Sweep) -> str:
+    """Values of the sweep in one trace, as in ``50 Hz, 10 V``; empty without a sweep."""
+    values = trace.signal.model_dump() | {"trial": trace.trial}
+    swept = {key: word for key, word in SWEPT_WORDS.items() if len(getattr(sweep, key) or ()) > 1}
+    return ", ".join(word.format(values[key]) for key, word in swept.items())
+
+
+def legend_labels(report: Report, traces: Sequence[Trace]) -> Iterator[str]:
+    """Text of the legend for each trace: only what distinguishes the curves of one figure."""
+    compared = len({trace.label for trace in traces}) > 1
+    for trace in traces:
+        value = swept_label(trace, report.scenario.sweep)
+        name = trace.label if compared or not value else ""
+        told = value and re.search(rf"(?<![\d.]){re.escape(value)}\b", name)
+        yield ", ".join(word for word in (name, "" if told else value) if word)
+
+
+def loop_runs(report: Report, traces: Sequence[Trace], true: bool) -> Iterator[LoopRun]:
+    """Mean measured cycle of each trace, reading or true position, and the predictions of a few models."""
+    for trace, label in zip(traces, legend_labels(report, traces), strict=True):
+        response, driven = trace.response, driven_of(report, trace)
+        wire = response.drive_v if response.reference_um is None else response.reference_um
+        shown = trace.predictions if len(trace.predictions) <= MOST_OVERLAYS else ()
+        outputs = [response.position_um if true else response.reading_um, *(p.reading_um for p in shown)]
+        cycle = _closed_cycle(trace, np.vstack([wire[driven], *outputs]))
+        means = np.split(cycle[1:], len(outputs))
+        predictions = tuple((p.label, mean) for p, mean in zip(shown, means[1:], strict=True))
+        name = label or f"{trace.signal.highest_frequency_hz:g} Hz"
+        yield LoopRun(name, driven, cycle[0], means[0], predictions)
+
+
+def error_runs(report: Report, traces: Sequence[Trace]) -> Iterator[ErrorRun]:
+    """First measured cycle of the errors of each trace: of the true position, or of each prediction."""
+    for trace, label in zip(traces, legend_labels(report, traces), strict=True):
+        response, period = trace.response, trace.signal.period_s
+        first = slice(0, round(period / response.sample_time_s) + 1)
+        errors = [(p.label, response.reading_um - p.reading_um) for p in trace.predictions]
+        if response.reference_um is not None:
+            errors = [("", response.position_um - response.reference_um)]
+        for name, error_um in errors:
+            words, worst_um = ", ".join(word for word in (name, label) if word), float(np.abs(error_um).max())
+            cycles = response.time_s[first] / period
+            yield ErrorRun(words, driven_of(report, trace), cycles, error_um[:, first], worst_um)
+
+
+def driven_of(report: Report, trace: Trace) -> int:
+    """Number of the input that a trace excites: named by the trace, or by its signal."""
+    names = report.inputs if report.scenario.drive is not None else report.axes
+    if trace.excited_axis in names:
+        return names.index(trace.excited_axis)
+    return int(trace.signal.model_dump()["axis"]) - 1
+
+
+def _closed_cycle(trace: Trace, signals: Array) -> Array:
+    """Mean of the measured cycles (signal, sample), its first sample repeated at its end."""
+    period, sample_time_s = trace.signal.period_s, trace.response.sample_time_s
+    samples = round(period / sample_time_s)
+    if signals.shape[1] * sample_time_s < period * (1.0 + 1e-9):
+        return signals
+    cycle = settled_cycle(signals, 1.0 / period, sample_time_s, min(MOST_PHASES, samples))
+    return np.hstack([cycle, cycle[:, :1]])

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -56,8 +55,7 @@ LEAST_ALLOWED = 1e-300
 """Keeps the quotient finite where a baseline allows nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class SweptNumber:
+class SweptNumber(NamedTuple):
     """One number of one row, over the values of a sweep.
 
     x, accepted, now, allowed : (point,)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -53,8 +52,7 @@ DEEPEST = 1e-4  # part of the worst error below which nothing is told apart: rou
 MOST_OF_A_PANEL = 4  # labels that the eye tells apart in one panel; more are split over several
 
 
-@dataclass(frozen=True, eq=False)
-class PathRun:
+class PathRun(NamedTuple):
     """All axes driven together.
 
     label : name in the legend; runs of one label are drawn alike

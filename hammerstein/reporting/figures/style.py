@@ -59,17 +59,12 @@ STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # it comes with matplotlib, so that figures are alike on every machine
     "font.size": 9.0,
     "axes.titlesize": 9.0,
-    "axes.labelsize": 9.0,
-    "xtick.labelsize": 9.0,
-    "ytick.labelsize": 9.0,
-    "legend.fontsize": 9.0,
     "legend.title_fontsize": 9.5,
     "legend.frameon": False,
     "legend.handlelength": 3.2,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.edgecolor": "#555555",
-    "axes.linewidth": 0.8,
     "xtick.color": "#555555",
     "ytick.color": "#555555",
     "xtick.labelcolor": DARK,
@@ -82,7 +77,6 @@ STYLE: dict[str, Any] = {
     "lines.markersize": 4.0,
     "lines.solid_capstyle": "round",
     "svg.hashsalt": "hammerstein",
-    "svg.fonttype": "path",
 }
 
 REMARK_LETTERS = 66
@@ -156,14 +150,10 @@ def symbol(axis: str, role: Role) -> str:
     >>> symbol("x", "voltage"), symbol("tip", "error")
     ('$u_x$', 'error of tip')
     """
-    letter = len(axis) == 1 and axis.isalpha() and axis.isascii()
-    if letter:
-        return {"reading": "${}$", "reference": "${}_r$", "voltage": "$u_{}$", "error": "$e_{}$"}[
-            role
-        ].format(axis)
-    return {"reading": "{}", "reference": "{}", "voltage": "{}", "error": "error of {}"}[role].format(
-        plain(axis)
-    )
+    if len(axis) == 1 and axis.isalpha() and axis.isascii():
+        forms = {"reading": "${}$", "reference": "${}_r$", "voltage": "$u_{}$", "error": "$e_{}$"}
+        return forms[role].format(axis)
+    return "error of " * (role == "error") + plain(axis)
 
 
 def plain(label: str) -> str:

@@ -1,17 +1,19 @@
-"""A figure of merit against frequency: one panel for each output and input."""
+"""A figure of merit against frequency, cycle or uncertain parameter."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from hammerstein.arrays import Array
+from hammerstein.experiment.report import TOO_FEW
 from hammerstein.reporting.figures.style import (
+    DARK,
     WIDTH_IN,
+    few_ticks,
     legend_above,
     letter,
     line_style,
@@ -21,6 +23,7 @@ from hammerstein.reporting.figures.style import (
     side_by_side,
     sparse_markers,
     styled,
+    thin_path,
 )
 
 if TYPE_CHECKING:
@@ -39,30 +42,29 @@ BAND_ALPHA = 0.2
 STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 13, "markeredgecolor": "white"}
 NOMINAL_WIDTH = 0.5
 """Thin, as the band is what counts."""
+NOMINAL_POINT: dict[str, Any] = {"linestyle": "none", "marker": "D", "markersize": 3.0}
 BAR_WIDTH = 2.5
 """Of the bars of several bands beside each other [pt]."""
 APART = 0.012
 """Of the length of the axis, between the bars of two curves."""
 
 
-@dataclass(frozen=True, eq=False)
-class SweepCurve:
+class SweepCurve(NamedTuple):
     """One compensator or model over frequency, or over another swept value.
 
     label : name in the legend
     x : (point,) frequency [Hz] or another swept value, positive and increasing
     values : (output, input, point); NaN where there is none
     mark : position of a star on the curve, such as the frequency of its identification; None: no star
-    band : lower and upper edge around the curve, each as ``values``; None: no band
-    nominal : (output, input, point) drawn thin beside the curve, which is then the median of its band
+    band : lower and upper edge around the curve, which is then the median, and the nominal values beside it,
+        drawn thin; each as ``values``; None: no band
     """
 
     label: str
     x: Array
     values: Array
     mark: float | None = None
-    band: tuple[Array, Array] | None = None
-    nominal: Array | None = None
+    band: tuple[Array, Array, Array] | None = None
 
 
 def sweep_figure(
@@ -146,18 +148,15 @@ def _draw_bands(panels: np.ndarray, curves: Sequence[tuple[int, SweepCurve]]) ->
         assert curve.band is not None
         pen = {"color": line_style(number)["color"], "label": plain(curve.label)}
         for (o, k), axes in np.ndenumerate(panels):
-            low, high = (edge[o, k] for edge in curve.band)
-            nominal = None if curve.nominal is None else curve.nominal[o, k]
+            low, high, nominal = (values[o, k] for values in curve.band)
             if len(banded) == 1:
                 axes.fill_between(curve.x, low, high, alpha=BAND_ALPHA, linewidth=0.0, **pen)
-                if nominal is not None:
-                    axes.plot(curve.x, nominal, linewidth=NOMINAL_WIDTH, **pen)
+                axes.plot(curve.x, nominal, linewidth=NOMINAL_WIDTH, **pen)
                 continue
             x = _beside(axes, curve.x, place - 0.5 * (len(banded) - 1))
             bars = np.array([low, high, np.full_like(x, np.nan)]).T.ravel()
             axes.plot(np.repeat(x, 3), bars, linewidth=BAR_WIDTH, **pen)
-            if nominal is not None:
-                axes.plot(x, nominal, linestyle="none", marker="D", markersize=3.0, **pen)
+            axes.plot(x, nominal, **NOMINAL_POINT, **pen)
 
 
 def _beside(axes: Axes, x: Array, places: float) -> Array:
@@ -182,17 +181,14 @@ def _explained(curves: Sequence[SweepCurve]) -> dict[str, Artist]:
     if any(_mark(curve) is not None for curve in curves):
         entries["identified here"] = Line2D([], [], color="#555555", **STAR)
     banded = sum(curve.band is not None for curve in curves)
-    words = "median, 5 to 95 % of random actuators"
+    words, nominal = "median, 5 to 95 % of random actuators", "nominal actuator"
     grey: dict[str, Any] = {"color": "#555555"}
     if banded > 1:
         entries[words] = Line2D([], [], linewidth=BAR_WIDTH, **grey)
+        entries[nominal] = Line2D([], [], **grey, **NOMINAL_POINT)
     elif banded:
         entries[words] = Patch(alpha=BAND_ALPHA, linewidth=0.0, **grey)
-    if any(curve.nominal is not None for curve in curves):
-        point: dict[str, Any] = {"linestyle": "none", "marker": "D", "markersize": 3.0}
-        entries["nominal actuator"] = Line2D(
-            [], [], **grey, **(point if banded > 1 else {"linewidth": NOMINAL_WIDTH})
-        )
+        entries[nominal] = Line2D([], [], **grey, linewidth=NOMINAL_WIDTH)
     return entries
 
 
@@ -215,3 +211,100 @@ def log_where_wide(axes: Axes, values: Array) -> None:
     if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
         axes.set_yscale("log")
         plain_numbers(axes.yaxis)
+
+
+MOST_CYCLES = 1000  # points of a curve
+MINUTES_FROM_S = 180.0
+"""Longer runs have an axis in minutes."""
+
+
+class DriftRun(NamedTuple):
+    """Mean error of every cycle.
+
+    label : compensator; axis : number of the axis from 0
+    time_s : (cycle,) middle of each cycle [s]; mean_um : (cycle,) mean error of the true position [um]
+    """
+
+    label: str
+    axis: int
+    time_s: Array
+    mean_um: Array
+
+
+def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
+    """Mean error of each cycle over time, a panel for each axis that has runs."""
+    axes_shown = sorted({run.axis for run in runs})
+    labels = list(dict.fromkeys(run.label for run in runs))
+    longest = max(float(run.time_s[-1]) for run in runs)
+    factor, unit = (1.0 / 60.0, "min") if longest > MINUTES_FROM_S else (1.0, "s")
+    rows, columns = side_by_side(len(axes_shown))
+    with styled():
+        figure = new_figure(0.8 + 2.3 * rows, columns)
+        panels = figure.subplots(rows, columns, squeeze=False).flat
+        entries: dict[str, Artist] = {}
+        for number, (axis, axes) in enumerate(zip(axes_shown, panels, strict=False)):
+            for run in (run for run in runs if run.axis == axis):
+                time, mean = thin_path([run.time_s * factor, run.mean_um], MOST_CYCLES)
+                place = labels.index(run.label)
+                markers = sparse_markers(len(mean), place)
+                (line,) = axes.plot(
+                    time, mean, markevery=markers, label=plain(run.label), **line_style(place)
+                )
+                entries[plain(run.label)] = line
+            axes.set_ylabel(f"mean error of {names[axis]} [µm]")
+            axes.margins(x=0.01)
+            few_ticks(axes)
+            axes.set_xlabel(f"time [{unit}]")
+            letter(axes, number)
+        legend_above(figure, entries, "True position: mean error of each cycle")
+    return figure
+
+
+FILLED = 0.8  # of the height that a parameter has
+PALE_ALPHA = 0.35
+"""Of the total effect, behind the first order."""
+
+
+def sensitivity_figure(
+    names: Sequence[str], bars: Mapping[str, tuple[Array, Array]], title: str = ""
+) -> Figure:
+    """First and total indices as bars, a group for each parameter; none where the draws were too few.
+
+    Parameters
+    ----------
+    names : of the parameters, from the top
+    bars : by label, (parameter, 3) index of the parameter alone and with others, and its lower and upper
+        limit; NaN where the draws were too few
+    title : written above the legend
+
+    Examples
+    --------
+    >>> index = np.array([[0.7, 0.6, 0.8], [0.2, 0.1, 0.3]])
+    >>> figure = sensitivity_figure(["weights", "noise"], {"exact": (index, index)})
+    >>> [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    ['weights', 'noise']
+    """
+    places, height = np.arange(len(names), dtype=np.float64), FILLED / len(bars)
+    with styled():
+        figure = new_figure(1.2 + 0.24 * len(names) * max(2, len(bars)), columns=1)
+        axes = figure.subplots()
+        entries: dict[str, Artist] = {}
+        for number, (label, (alone, together)) in enumerate(bars.items()):
+            colour = line_style(number)["color"]
+            middle = places + height * (number - 0.5 * (len(bars) - 1))
+            known = np.isfinite(together[:, 0])
+            total, low, high = together[known].T
+            axes.barh(middle[known], total, height, color=colour, alpha=PALE_ALPHA, linewidth=0.0)
+            first = np.nan_to_num(alone[:, 0])
+            entries[label] = axes.barh(middle, first, 0.6 * height, color=colour, linewidth=0.0).patches[0]
+            axes.hlines(middle[known], low, high, color=DARK, linewidth=0.8)
+            for place in middle[~known]:
+                axes.text(0.0, place, f" {TOO_FEW}", color=colour, va="center")
+        axes.set_yticks(places, names)
+        axes.invert_yaxis()
+        axes.grid(visible=False, axis="y")
+        axes.set_xlabel("share of the variance")
+        axes.set_xlim(left=min(0.0, *(float(np.nan_to_num(one[:, 0]).min()) for one, _ in bars.values())))
+        letter(axes, 0)
+        legend_above(figure, entries, title)
+    return figure

@@ -43,7 +43,7 @@ def save_figures(
     with staged(folder, owner, overwrite) as stage:
         for name, content in files_of(figures, png=True):
             stage.write(name, content)
-    return stage.written
+    return [folder / name for name in stage.names]
 
 
 def files_of(figures: Mapping[str, Figure], png: bool = False) -> Iterator[tuple[str, bytes]]:
