@@ -18,7 +18,7 @@ from hammerstein.compensators.cycle import Cycle, Design, centred, design_of, pl
 from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
 from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearised
-from hammerstein.errors import InputError, naming
+from hammerstein.errors import InputError, SimulationError, naming
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Deviation, Frequency, Trial, column, interval, number_of
@@ -87,6 +87,8 @@ def _diagonal(block: LinearBlock, frequency_hz: Array) -> Complex:
     return np.asarray(np.diagonal(block.response(frequency_hz), axis1=1, axis2=2))
 
 
+OTHER = 0.5
+"""Part of a motion that is left where it is another one, in another unit or at another time."""
 SIGNIFICANT = 3.0  # standard deviations of normal noise: what an error must exceed to be learnt
 RANDOM = 0.01  # how often white noise is taken for drift, per output: at any of the lines above 0 Hz
 RANDOM_OFFSET = 0.2  # the same at 0 Hz, where sensors drift: a mistake delays this line by one trial
@@ -360,7 +362,11 @@ def learn_from_files(
     found, _ = _taught(design, trial, uncertainty, terms.units)
     if before is not None:
         found = found.after(*_taught(design, before, uncertainty, terms.units))
-    return replace(design.cycle(found.drive_v, terms), learnt=True), found
+    try:
+        return replace(design.cycle(found.drive_v, terms), learnt=True), found
+    except SimulationError as error:
+        asks = f"The correction from {trial[1]} asks for it: check where its zero is, the initial position"
+        raise SimulationError(f"{error} {asks}.") from None
 
 
 def _taught(
@@ -374,12 +380,42 @@ def _taught(
         raise InputError(
             str(trial[1]), f"is not sampled every {interval(time_s)} like the drive; record it like that"
         )
+    _refuse_other_motion(str(trial[1]), design, drive, measured)
     bandwidth = design.model.instruments.sensor.bandwidth_hz
     with naming(str(trial[1]), instead_of=MEASURED):
         found = ilc_update(
             design.model, design.law, design.reference_um, drive, measured, uncertainty, bandwidth
         )
     return found, drive
+
+
+def _refuse_other_motion(source: str, design: Design, drive: Array, measured: Array) -> None:
+    """Refuse readings (p, periods N) of the motion that a drive (m, N) makes, in another unit or shifted.
+
+    Learnt, they would ask for a drive that is far off.
+    """
+    time_s, samples = design.model.instruments.drive.sample_time_s, drive.shape[1]
+    if measured.shape[1] % samples:
+        return  # not whole periods, which are refused later
+    limits = design.law.range
+    play = player(design.model, limits, time_s)
+    expected, _ = settled_position(play, drive, limits.start_v, time_s)
+    read = measured.reshape(len(measured), -1, samples).mean(axis=1)
+    for name, e, m in zip(design.model.outputs, expected, read, strict=True):
+        e, m = e - e.mean(), m - m.mean()
+        if rms(m - e) <= OTHER * rms(e):
+            continue
+        gains = np.fft.irfft(np.conj(np.fft.rfft(e)) * np.fft.rfft(m), samples) / (e @ e)
+        late = int(np.argmax(gains))
+        gain = float(gains[late])
+        if rms(m - gain * np.roll(e, late)) > OTHER * rms(m):
+            continue
+        if abs(np.log10(gain)) > 1.0:
+            what = f"moves {gain:.2g} times as far as the drive moves the model; name the unit in the header"
+            raise InputError(source, f"{name} {what}, such as {name}_um")
+        time = interval(min(late, samples - late) * time_s)
+        what = f"comes {time} {'later' if 2 * late < samples else 'earlier'} than the drive moves the model"
+        raise InputError(source, f"{name} {what}; record whole periods from the first row of the drive on")
 
 
 def _drive_of(path: Path, model: HammersteinModel, samples: int) -> Array:

@@ -336,8 +336,8 @@ def _stand_out(size: Array, places: Indices) -> Flags:
 def _swings_back(x: Array, start: int, stop: int) -> bool:
     """Whether an excursion has one to the other side beside it, half as far or farther, as ringing has.
 
-    The whole half wave counts, of which an excursion may be no more than the tip. Both are about the middle of
-    all samples: no step overshoots by more than its height.
+    The whole half wave counts, of which an excursion may be no more than the tip. Both are about the middle
+    of all samples: no step overshoots by more than its height.
     """
     off = x - np.median(x)
     back = off * off[start] <= 0.0

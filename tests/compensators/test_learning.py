@@ -565,3 +565,34 @@ def test_a_period_is_two_whole_samples_or_more(samples, off):
     else:
         with pytest.raises(InputError, match="period is a whole number of samples"):
             whole_period(samples + off, "learned")
+
+
+@pytest.mark.parametrize(
+    ("scale", "late", "off_um", "said"),
+    [
+        (0.03, 0, 0.0, "x moves 0.03 times as far as the drive moves the model; name the unit"),
+        (1.0, 60, 0.0, "x comes 3"),
+        (1.0, -40, 0.0, "earlier than the drive moves the model"),
+        (1.0, 0, 200.0, "check where its zero is"),
+    ],
+)
+def test_readings_in_another_unit_or_shifted_are_not_learnt(
+    scale, late, off_um, said, tmp_path, model, capsys
+):
+    """An actuator off by 5 and 1 %; its true readings are learnt."""
+    drawn, instruments = UNCERTAIN.draw(model, model.instruments, 2)
+    path, drive, measured = (tmp_path / name for name in ("path.csv", "drive.csv", "measured.csv"))
+    x, y = circle()
+    pd.DataFrame({"time_s": T * np.arange(250), "x": x, "y": y}).to_csv(path, index=False)
+    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
+    _measure(drive, measured, drawn, instruments, 3)
+    learn = ("--learn", drive, measured, "--out", tmp_path / "next.csv", "--overwrite")
+    assert _call("compensate", "duo_bimorph", path, *learn) == 0
+    rows = pd.read_csv(measured)
+    turned = np.roll(scale * rows[["x", "y"]].to_numpy(), late, axis=0) + off_um
+    pd.DataFrame({"time_s": rows["time_s"], "x": turned[:, 0], "y": turned[:, 1]}).to_csv(
+        measured, index=False
+    )
+    capsys.readouterr()
+    assert _call("compensate", "duo_bimorph", path, *learn) in (2, 3)
+    assert said in capsys.readouterr().err

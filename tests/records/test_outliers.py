@@ -168,7 +168,7 @@ def test_spikes_are_found_where_a_resonance_moves_as_far(seed):
 @pytest.mark.parametrize("held", [300, 4000, 30_000])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_overshoot_of_a_step_is_no_outlier(damping, held, side):
-    """Second order (theory), 300 Hz at 10 kHz: the tip of the first half wave, after a rest and before a hold."""
+    """Second order, 300 Hz at 10 kHz: the tip of its first half wave, after a rest and before a hold."""
     t, w = np.arange(held) * 1e-4, 2.0 * np.pi * 300.0
     turn = np.sqrt(1.0 - damping**2)
     ring = np.exp(-damping * w * t) * (np.cos(turn * w * t) + damping / turn * np.sin(turn * w * t))
