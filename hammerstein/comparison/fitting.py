@@ -9,14 +9,16 @@ from functools import cache, partial
 
 import numpy as np
 
+from hammerstein.blocks.voltages import Verdict
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import Prepared, fit_kind, fit_plays, identify, settings_of_plays
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.rates import several_rates
-from hammerstein.identification.score import Candidate
+from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.initial_state import own_starts
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
@@ -231,11 +233,14 @@ def _fitted(
 ) -> Fitted:
     best = candidate is fit.candidates[fit.kind]
     if not best:  # counts from any working point
+        judged, starts = (fit.held, fit.held_starts) if fit.held else (fit.records, fit.starts)
+        own = own_starts(judged, starts, candidate.predict, slow_s=candidate.slow_s)
+        left = score(candidate, judged, own).nrmse_percent
         model = replace(
             model,
             hysteresis=candidate.hysteresis,
             dynamics=candidate.dynamics,
-            verdict=None,
+            verdict=Verdict(flagged=False, held_out=bool(fit.held), nrmse_percent=left),
             covariance=None,
         )
     model, flags = replace(model, name=name), fit.flags if best else ()

@@ -41,6 +41,8 @@ HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
 INITIAL_STATE, AT_REST = "Initial state, where the path is zero", "at rest, without history"
 DRIVEN_TO = "driven to"
+NOTHING = 1e-5
+"""Part of a path that is no miss, whatever is known of the model."""
 EARLIER = " Earlier motion shifts the position; less so after both ends of the range (--conditioned)."
 
 
@@ -305,7 +307,9 @@ def compensation_of(
     compensator = compensator_of(law, options)
     found = Attempt.of(model, limits, compensator, np.hstack([before, path]), before.shape[1])
     prediction = Prediction.of(model, found)
-    own = np.zeros(len(path)) if prediction.model is None else prediction.model
+    own = NOTHING * np.ptp(path, axis=1)
+    if prediction.model is not None:
+        own = np.maximum(own, prediction.model)
     held = not found.predicted.complete and bool(
         (found.path_error_um <= own).all() or (found.limited_um(model, limits, compensator) <= own).all()
     )

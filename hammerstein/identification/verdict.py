@@ -16,6 +16,8 @@ ALIKE = 0.05
 FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 """Rates that are two, and what makes a loop the wider one: parts of the other, and percent of the height."""
 UNSURE_DAMPING_PERCENT = 30.0  # standard error of a damping ratio from which it is named
+HELD = 10.0
+"""Time constants for which a step must be held to tell a slow mode from an offset."""
 NO_CREEP = 1e-3
 """Standard error of a gain of creep below which a gain of none means that there is no creep to speak of."""
 UNTOLD = (
@@ -125,11 +127,13 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> Iterator
             yield f"damping of {name}: standard error {fit.damping_error_percent:.0f} %"
         if fit.lag_error_percent is not None and fit.lag_error_percent > UNSURE_LAG_PERCENT:
             error_s = 0.01 * fit.lag_error_percent * (fit.axis.lag_s or 0.0)
-            yield f"lag of {name}: {interval(fit.axis.lag_s or 0.0)} ± {interval(error_s)}"
+            known = f"{interval(fit.axis.lag_s or 0.0)} ± {interval(error_s)}"
+            none = f"the records do not tell it ({interval(fit.axis.lag_s or 0.0)} fits them)"
+            yield f"lag of {name}: {none if fit.lag_error_percent > 100.0 else known}"
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
                 small = error < NO_CREEP
-                longer = "use a record several times longer"
+                longer = f"record a step that is held for {interval(HELD * mode.time_constant_s)}"
                 remedy = "the records show none; ask for fewer modes" if small else longer
                 yield (
                     f"creep of {name} with a time constant of {mode.time_constant_s:.3g} s: gain "
@@ -150,7 +154,8 @@ def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     yield (
         f"creep of {name}: a slow mode with a time constant of {mode.time_constant_s:.3g} s would "
         f"lower the error from {fit.rms_um:.3g} to {larger.rms_um:.3g} um, but {why}; record a step "
-        f"that is constant for minutes, or keep the mode with --creep-modes {len(larger.axis.creep)}"
+        f"that is held for {interval(HELD * mode.time_constant_s)}, or keep the mode with "
+        f"--creep-modes {len(larger.axis.creep)}"
     )
 
 

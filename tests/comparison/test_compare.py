@@ -164,6 +164,12 @@ def test_every_model_has_its_file_and_the_next_command_drives_the_recommended_on
     write_comparison(found, Path("all"), figures=False)
     named = {entry.name: f"{entry.name.replace(' ', '_')}.json" for entry in found.entries}
     kinds = {name: HammersteinModel.load(Path("all", file)) for name, file in named.items()}
+    for entry in found.entries:  # each with its own error, so that no drive of it is "untested"
+        verdict = kinds[entry.name].verdict
+        assert verdict is not None
+        assert verdict.held_out
+        assert entry.held is not None
+        assert verdict.nrmse_percent == pytest.approx(entry.held.nrmse_percent, rel=0.05)
     record = record_of(10.0, 4)
     predicted = kinds["asymmetric"].simulate(record.u_v, T).position_um
     left = (predicted - record.y_um)[0, 500:]

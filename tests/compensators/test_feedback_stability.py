@@ -13,7 +13,7 @@ import pytest
 
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains, tuned
-from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
+from hammerstein.compensators.feedback.pid import Feedback, FeedbackController, closed_loop
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
@@ -312,3 +312,14 @@ def test_gains_do_not_depend_on_the_unit_of_time_and_go_with_their_outputs(deriv
         np.testing.assert_allclose(unit * getattr(slow, name), getattr(first, name), rtol=1e-9)
         np.testing.assert_allclose(getattr(turned, name)[::-1], getattr(first, name), rtol=1e-6)
     np.testing.assert_allclose(slow.derivative_s / 1024.0, first.derivative_s, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("integral_per_s", "stable"), [(40.0, True), (400.0, False)])
+def test_given_gains_say_their_sensitivity_or_that_the_loop_is_unstable(integral_per_s, stable):
+    """Integral feedback on a resonance is stable up to about 2 z w of it (Fleming et al., 2010): 151 /s."""
+    axis = AxesDynamics(axes=(Axis(resonance_hz=300.0, damping_ratio=0.04),))
+    model = HammersteinModel("one", PrandtlIshlinskii([[Pair([0.0], [2.0])]]), axis, 10.0, ("u",), ("y",))
+    law = Feedback(proportional=(0.0,), integral_per_s=(integral_per_s,)).design(model, 10.0, 50e-6)
+    said = law.statement()
+    assert ("UNSTABLE" in said) == (not stable)
+    assert ("sensitivity at most 1." in said) == stable

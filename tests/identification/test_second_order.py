@@ -243,7 +243,7 @@ def test_unsure_damping_and_creep_are_stated():
     said = list(axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)]))
     assert said[0] == "damping of x: standard error 40 %"
     assert said[1].startswith(
-        "creep of x with a time constant of 300 s: gain 0.01 ± 0.02; use a record several times longer"
+        "creep of x with a time constant of 300 s: gain 0.01 ± 0.02; record a step that is held for 3000 s"
     )
     none = (CreepMode(gain=1e-5, time_constant_s=0.03),)
     (said,) = axis_statements(("x",), [axis_fit(50.0, True, none, (3e-5,))])
@@ -255,8 +255,10 @@ def test_a_lag_that_is_mostly_error_is_stated():
     axis = Axis(resonance_hz=50.0, damping_ratio=0.1, lag_s=1e-5)
     sure = AxisFit(axis, 0.1, 1.0, (), 0.1, 1.0, lag_error_percent=10.0)
     assert list(axis_statements(("x",), [sure])) == []
+    said = list(axis_statements(("x",), [replace(sure, lag_error_percent=80.0)]))
+    assert said[-1] == "lag of x: 10 us ± 8 us"
     said = list(axis_statements(("x",), [replace(sure, lag_error_percent=400.0)]))
-    assert said[-1] == "lag of x: 10 us ± 40 us"
+    assert said[-1] == "lag of x: the records do not tell it (10 us fits them)"
 
 
 @pytest.mark.parametrize("sensor_hz", [None, 2000.0])

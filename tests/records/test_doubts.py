@@ -7,9 +7,14 @@ import pytest
 from hammerstein import HammersteinModel, Scenario, run
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.commands.cli import main
-from hammerstein.reporting.summary import answer, doubts
+from hammerstein.reporting.summary import doubts, sentences
 
 GUESS = "The voltages exceed the records of the simulated actuator"
+
+
+def answer(report):
+    """What its sentences say, in one line."""
+    return " ".join(one.words for one in sentences(report))
 
 
 def stage(place, most_v=5.0, **verdict):

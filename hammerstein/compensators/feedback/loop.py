@@ -42,6 +42,11 @@ class Gains:
         """Return all gains times a factor; what was computed for the old ones is dropped."""
         return Gains(factor * self.proportional, factor * self.integral_per_s, factor * self.derivative_s)
 
+    def fit(self, outputs: int) -> bool:
+        """Whether there is a finite value of each for every output."""
+        each = (self.proportional, self.integral_per_s, self.derivative_s)
+        return all(np.shape(gain) == (outputs,) and bool(np.isfinite(gain).all()) for gain in each)
+
     def statement(self) -> str:
         """State the gains."""
         axes = []
@@ -53,6 +58,8 @@ class Gains:
                 text += f", loop gain 1 at {self.crossover_hz[o]:.3g} Hz"
             axes.append(text)
         peak = f"; sensitivity at most {self.sensitivity:.3g}" if self.sensitivity is not None else ""
+        if self.sensitivity == np.inf:
+            peak = "; with these gains the loop of the model is UNSTABLE"
         return "Feedback gains: " + "; ".join(axes) + f"{peak}."
 
 

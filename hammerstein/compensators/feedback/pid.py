@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from hammerstein.blocks.instruments import standard_noise
 from hammerstein.blocks.law import require_grid
 from hammerstein.compensators.base import COMPENSATORS, Compensator
 from hammerstein.compensators.feedback.loop import FeedbackLoop, Gains, tuned
-from hammerstein.dynamics import LinearBlock, StaticDynamics, discretise
+from hammerstein.dynamics import LinearBlock, StaticDynamics, WithLoop, discretise
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import PrandtlIshlinskii, slopes_of
 from hammerstein.model import HammersteinModel
@@ -94,7 +94,8 @@ class FeedbackController(Controller[ControllerState]):
         self.feedforward = feedforward
         self.gain_um_per_v = model.about_middle.gain(model.amplitude_v)
         self.inverse_gain_v_per_um = np.ascontiguousarray(np.linalg.pinv(self.gain_um_per_v))
-        self.gains = gains or _computed(model, sample_time_s, sensor_bandwidth_hz, derivative)
+        known = (model, sample_time_s, sensor_bandwidth_hz)
+        self.gains = _judged(gains, *known) if gains else _computed(*known, derivative)
         self._settings = self._new_settings(sensor_bandwidth_hz)
         self._limits = np.stack([self.range.low_v, self.range.high_v])
 
@@ -102,7 +103,7 @@ class FeedbackController(Controller[ControllerState]):
         """Lag of the sensor for a reference that is straight between samples, and gains for one sample."""
         p, step = self.n_outputs, self.sample_time_s
         gains = (self.gains.proportional, self.gains.integral_per_s, self.gains.derivative_s)
-        if any(np.shape(gain) != (p,) or not np.isfinite(gain).all() for gain in gains):
+        if not self.gains.fit(p):
             raise InputError("gains", f"give {p} finite values for each gain, one for each output")
         a = 2.0 * math.pi * sensor_bandwidth_hz * step
         pole = math.exp(-a)
@@ -338,9 +339,25 @@ def _computed(
             "the thresholds of the model grow with the rate, which the computed gains would leave out; give "
             "proportional and integral_per_s, or a model of another kind",
         )
+    return tuned(_loop(model, sample_time_s, sensor_bandwidth_hz), derivative)
+
+
+def _judged(gains: Gains, model: HammersteinModel, sample_time_s: float, sensor_bandwidth_hz: float) -> Gains:
+    """Given gains with the sensitivity of the loop, where the model tells it; infinite if it is unstable."""
+    told = not isinstance(model.dynamics, (StaticDynamics, WithLoop)) and gains.fit(
+        model.hysteresis.n_outputs
+    )
+    if not told or getattr(model.hysteresis, "passes_for_delay", False):
+        return gains
+    loop = _loop(model, sample_time_s, sensor_bandwidth_hz)
+    return replace(gains, sensitivity=loop.sensitivity(gains))
+
+
+def _loop(model: HammersteinModel, sample_time_s: float, sensor_bandwidth_hz: float) -> FeedbackLoop:
+    """The model with the lag of its sensor, for the extreme slopes of the hysteresis."""
     block, p = discretise(model.dynamics, sample_time_s, sensor_bandwidth_hz), model.hysteresis.n_outputs
     reading = LinearBlock(block.A, block.B, block.C[p:], block.D[p:], sample_time_s)
-    return tuned(FeedbackLoop(reading, np.array(_extreme_slopes(model))), derivative)
+    return FeedbackLoop(reading, np.array(_extreme_slopes(model)))
 
 
 def _extreme_slopes(model: HammersteinModel) -> list[Array]:
