@@ -40,7 +40,8 @@ class Instance:
             guid=self.about.guid, unzipDirectory=str(folder), instanceName=name,
             modelIdentifier=self.about.coSimulation.modelIdentifier,
         )  # fmt: skip
-        self.unit.instantiate()
+        self.log = []
+        self.unit.instantiate(logMessage=lambda *told: self.log.append(told[-1].decode()))
         self.unit.enterInitializationMode()
         self.unit.exitInitializationMode()
         names = {kind: [v.valueReference for v in self.about.modelVariables if v.causality == kind]
@@ -86,6 +87,7 @@ def test_any_other_step_is_refused(unit, tmp_path, step):
     instance = Instance(path, tmp_path)
     with pytest.raises(Exception, match="fmi3DoStep"):
         instance.step(signal[:, 1], 0.0, step)
+    assert instance.log == ["the communication step is no multiple of 50 us"]
     found = instance.step(signal[:, 2])
     assert (found == code.block.respond(signal[:, 2:3])[0][:, 0]).all()
 
@@ -124,6 +126,7 @@ def test_a_number_that_is_none_is_an_error(unit, tmp_path):
     instance = Instance(path, tmp_path)
     with pytest.raises(Exception, match="fmi3DoStep"):
         instance.step(np.full(code.shape.entering, np.nan))
+    assert instance.log == ["an input is not finite or too large"]
 
 
 def test_fmpy_simulates_it(unit):
@@ -155,10 +158,10 @@ def older(request, tmp_path_factory):
     return export.code(form="fmu", fmi=2), next(folder.glob("*.fmu"))
 
 
-def _second(path, folder):
-    """An instance of a unit of FMI 2.0, ready to step, and its value references."""
+def _second(path, folder, told):
+    """An instance of a unit of FMI 2.0, ready to step, and its value references; told : takes its messages."""
     from fmpy import extract
-    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
     about = fmpy.read_model_description(str(path), validate=True)
     assert about.fmiVersion == "2.0"
@@ -167,7 +170,9 @@ def _second(path, folder):
         guid=about.guid, unzipDirectory=str(folder), instanceName="one",
         modelIdentifier=about.coSimulation.modelIdentifier,
     )  # fmt: skip
-    found.instantiate()
+    listener = fmi2CallbackLoggerTYPE(lambda *words: told.append(words[-1].decode()))
+    others = (getattr(defaultCallbacks, name) for name, _ in fmi2CallbackFunctions._fields_[1:])
+    found.instantiate(callbacks=fmi2CallbackFunctions(listener, *others))
     found.setupExperiment()
     found.enterInitializationMode()
     found.exitInitializationMode()
@@ -182,8 +187,8 @@ def _second(path, folder):
 def test_every_bit_of_fmi_2_is_that_of_python(older, tmp_path):
     """Steps, and the same steps again from a state that was kept and serialised."""
     code, path = older
-    signal = code.adverse(600)
-    unit, into, out = _second(path, tmp_path)
+    signal, told = code.adverse(600), []
+    unit, into, out = _second(path, tmp_path, told)
     expected, _ = code.block.respond(signal)
 
     def step(k):
@@ -199,6 +204,7 @@ def test_every_bit_of_fmi_2_is_that_of_python(older, tmp_path):
     assert (np.stack([step(k) for k in range(300, 600)], axis=1) == later).all()
     with pytest.raises(Exception, match="fmi2DoStep"):
         unit.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.5 * T)
+    assert told == ["the communication step is no multiple of 50 us"]
     unit.terminate()
     unit.freeInstance()
 
