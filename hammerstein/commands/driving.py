@@ -143,7 +143,7 @@ class Reached:
         ),
     ] = None
     units: Annotated[
-        str | None, typer.Option(metavar="nm|um|mm", help="Unit of the path, if its columns name none.")
+        str | None, typer.Option(metavar="nm|um|mm|m", help="Unit of the path, if its columns name none.")
     ] = None
     clip: Annotated[bool, typer.Option("--clip", help="Accept a path that is partly out of reach.")] = False
     beyond_records: Annotated[

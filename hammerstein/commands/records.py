@@ -75,7 +75,7 @@ class RecordFiles:
     ] = None
     units: Annotated[
         str | None,
-        typer.Option(metavar="nm|um|mm", help="Unit of the displacements, if their names have none."),
+        typer.Option(metavar="nm|um|mm|m", help="Unit of the displacements, if their names have none."),
     ] = None
     accept_gain: Annotated[
         bool, typer.Option("--accept-gain", help="Accept a gain outside 0.001 to 1000 um/V.")

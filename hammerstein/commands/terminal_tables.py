@@ -111,7 +111,7 @@ def judgement_table(title: str, judgements: Sequence[Judgement]) -> Table:
 def compensation_table(found: Compensation) -> Table:
     """One line for each axis: voltages, samples at the range, reference, predicted error."""
     summary = found.summary()
-    names = ("axis", "drive_v", "unreached", "reference_um", "predicted_max_um")
+    names = ("axis", "drive\nV", "samples\nat limit", "path\num", "largest\nerror um")
     table = _table("Predicted response", names)
     inputs = list(found.model.inputs)
     for o, (axis, figures) in enumerate(summary["axes"].items()):

@@ -138,7 +138,7 @@ class Compensation(Attempt):
             said.append(self._held())
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
-        said += [*self._amplified, *self._stepping]
+        said += [*self._amplified, *self._stepping, *filter(None, [beyond_records(self.model, self.drive_v)])]
         if self.resampled:
             said.append(self.resampled)
         return said
@@ -171,10 +171,17 @@ class Compensation(Attempt):
 
     @property
     def _stepping(self) -> Iterator[str]:
-        """Name a step between two samples that is large in the range."""
-        for name, row, span in zip(self.model.inputs, self.drive_v, self.law.range.span_v, strict=True):
-            if (step := float(np.abs(np.diff(row)).max())) > LARGE_STEP * span:
-                yield f"Largest step of {name} between two samples: {step:.3g} V."
+        """Name a step between two samples, or from the start to the first, that is large in the range."""
+        limits = self.law.range
+        each = zip(self.model.inputs, self.drive_v, limits.start_v, limits.span_v, strict=True)
+        for name, row, start, span in each:
+            steps = np.abs(np.diff(row, prepend=start))
+            if (largest := float(steps.max())) <= LARGE_STEP * span:
+                continue
+            if largest == steps[0]:
+                yield f"The first sample of {name} is {largest:.3g} V from the start: --lead-in leads there."
+            else:
+                yield f"Largest step of {name} between two samples: {largest:.3g} V."
 
     def _start(self) -> str:
         """Say how the actuator must come to the first row."""

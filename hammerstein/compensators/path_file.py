@@ -255,7 +255,8 @@ def drive_csv(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError("drive file", f"two columns would have the name {twice[0]}; rename the model's axes")
-    columns = [time_s, *(row for *_, rows in groups for row in rows)]
+    digits = 14 - math.ceil(math.log10(max(float(np.abs(time_s).max(initial=0.0)), 1e-300)))
+    columns = [np.round(time_s, min(digits, 300)), *(row for *_, rows in groups for row in rows)]
     text = []
     for first in range(0, max(len(time_s), 1), ROWS_AT_ONCE):
         part = dict(zip(names, (column[first : first + ROWS_AT_ONCE] for column in columns), strict=True))

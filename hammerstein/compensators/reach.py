@@ -42,11 +42,22 @@ class Reach:
         """Say the reach of each output and of all together."""
         alone, together = (
             ", ".join(
-                f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in zip(names, ends, strict=True)
+                f"{name} {low:.4g} to {high:.4g}"
+                for name, (low, high) in zip(names, _rounded(ends), strict=True)
             )
             for ends in (self.alone_um, self.together_um)
         )
-        return f"Reach of slow paths, one axis at a time: {alone} um; all axes together: {together} um."
+        if len(names) == 1:
+            return f"Reach of slow paths: {alone} um."
+        return (
+            f"Reach of slow paths, one axis with the others in their middle: {alone} um; all axes together: "
+            f"{together} um."
+        )
+
+
+def _rounded(ends_um: Array) -> Array:
+    """Ends (p, 2) without what rounding leaves of 0."""
+    return np.where(np.abs(ends_um) < MISSED_UM, 0.0, ends_um)
 
 
 def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = False) -> Reach:

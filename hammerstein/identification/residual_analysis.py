@@ -74,7 +74,7 @@ def residual_statements(
     if far:
         yield (
             f"The prediction error {', and that '.join(far)}: the records contain an effect that the "
-            f"model lacks. {_proposal(settings)}."
+            f"model lacks. {_proposal(settings, len(records[0].inputs))}."
         )
 
 
@@ -154,17 +154,16 @@ def untried(settings: Settings) -> list[str]:
     return tried
 
 
-def _proposal(settings: Settings) -> str:
+def _proposal(settings: Settings, inputs: int) -> str:
     """What to try against an error far above the noise: no promise that it helps."""
     if tried := untried(settings):
         return f"Not tried: {'; or '.join(tried)}"
-    fewer = (
-        "use records with fewer effects at once (slower, one axis at a time): this kind of model has no "
-        "saturation and no coupled resonances"
-    )
+    axes = inputs > 1
+    fewer = f"use records with fewer effects at once (slower{', one axis at a time' * axes})"
     if settings.hysteresis == PLAYS:
-        return f"hammerstein compare tries every kind on these records; {fewer}"
-    return fewer.capitalize()
+        lacks = f"plays have no saturation{', and no coupled resonances' * axes}"
+        return f"hammerstein compare tries every kind on these records; {fewer}: {lacks}"
+    return fewer.capitalize() + ": the model has no coupled resonances" * axes
 
 
 def record_flags(

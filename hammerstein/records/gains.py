@@ -20,6 +20,8 @@ ANSWERED = 0.02
 SLOW_HZ, FINE = 100.0, 100
 """Converters run at 10 to 50 kHz; with times of 1000 times the size that is 10 to 50 Hz. A cycle of so many
 samples asks for no rate as slow as that."""
+IN_US_HZ = 0.1
+"""Slower than any record of a loop: with times in microseconds, converters run at 0.01 to 0.05 Hz."""
 FAST_HZ = 1e5
 """Faster than this no voltage that drives an actuator goes to and fro."""
 JUMP = 0.25
@@ -159,10 +161,11 @@ def doubtful_clocks(records: Sequence[Record]) -> Iterator[str]:
         rate_hz = 1.0 / record.sample_time_s
         driven = record.u_v[list(driven_inputs(record))]
         most = max(len(turning_points(u, SWING * float(np.ptp(u)))) for u in driven) - 2
-        if rate_hz < SLOW_HZ and 2.0 * record.samples > FINE * most:
+        unit, name = ("microseconds", "t_us") if rate_hz < IN_US_HZ else ("milliseconds", "t_ms")
+        if rate_hz < IN_US_HZ or (rate_hz < SLOW_HZ and 2.0 * record.samples > FINE * most):
             yield (
                 f"{record.source}: {rate_hz:.4g} Hz for {record.samples / rate_hz:.4g} s, and the "
-                f"voltage turns {most} times. If its times are in milliseconds, name their column t_ms"
+                f"voltage turns {most} times. If its times are in {unit}, name their column {name}"
             )
         if 0.5 * most * rate_hz / record.samples > FAST_HZ:
             yield (

@@ -18,6 +18,7 @@ from hammerstein.commands.cli import main
 from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
+from hammerstein.compensators.path_file import drive_csv
 from hammerstein.compensators.preview.hammerstein_inverse import HammersteinInverseLaw
 from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
@@ -261,7 +262,7 @@ def test_out_of_reach_names_volts_and_positions(stage, capsys):
     assert re.search(r"u hits its lower limit, 0 V, first at \S+ s, and would need -[\d.]+ V at ", error)
     assert "0 to 100 V on u, -20 to 120 V on v (--range)" in error
     low, high = reach(model_of(), [(0.0, 100.0), (-20.0, 120.0)]).alone_um[0]
-    assert f"one axis at a time: x {low:.4g} to {high:.4g}" in error
+    assert f"one axis with the others in their middle: x {low:.4g} to {high:.4g}" in error
 
 
 @pytest.mark.full
@@ -473,3 +474,22 @@ def test_a_drive_file_with_columns_of_other_axes_is_never_written():
         drive_csv(np.zeros(3), [("drive", "v", ["u", "u#"], rows)], [])
     with pytest.raises(InputError, match="2 drive columns for 1 names"):
         drive_csv(np.zeros(3), [("drive", "v", ["u"], rows)], [])
+
+
+def test_a_first_sample_far_from_the_start_is_named_with_its_remedy():
+    """The path begins 20 um away: the first voltage, by theory, is a large part of the range."""
+    path = 20.0 + wave(5.0)
+    said = model_of().compensate(path, law="exact_inverse", range_v=[0.0, 100.0, -20.0, 120.0])
+    steps = np.abs(said.drive_v[:, 0] - said.law.range.start_v)
+    named = [text for text in said.statements() if "--lead-in leads there" in text]
+    assert len(named) == int((steps > 0.1 * said.law.range.span_v).sum()) > 0
+    assert f"{steps[0]:.3g} V from the start" in named[0]
+
+
+def test_times_of_a_drive_file_have_no_digits_of_rounding(tmp_path):
+    time_s = np.arange(2000) * 1e-4
+    place = tmp_path / "drive.csv"
+    place.write_text(drive_csv(time_s, [("drive", "v", ["x"], np.zeros((1, 2000)))], []))
+    words = [row.split(",")[0] for row in place.read_text().splitlines()[1:]]
+    assert max(map(len, words)) <= len("0.1999")
+    assert np.array(words, dtype=float) == pytest.approx(time_s, abs=1e-15)

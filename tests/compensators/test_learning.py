@@ -570,7 +570,7 @@ def test_a_period_is_two_whole_samples_or_more(samples, off):
 @pytest.mark.parametrize(
     ("scale", "late", "off_um", "said"),
     [
-        (0.08, 0, 0.0, "x moves 0.08 times as far as the drive moves the model; name the unit"),
+        (0.08, 0, 0.0, "times as far as the drive moves the model; name the unit"),
         (1.0, 60, 0.0, "x comes 3"),
         (1.0, -40, 0.0, "earlier than the drive moves the model"),
         (1.0, 0, 200.0, "check where its zero is"),

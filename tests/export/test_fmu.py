@@ -159,7 +159,7 @@ def older(request, tmp_path_factory):
 
 
 def _second(path, folder, told):
-    """An instance of a unit of FMI 2.0, ready to step, and its value references; told : takes its messages."""
+    """An instance of a unit of FMI 2.0, ready to step, and its value references; it logs to ``told``."""
     from fmpy import extract
     from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 

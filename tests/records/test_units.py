@@ -221,6 +221,12 @@ def test_a_slow_record_of_few_samples_a_cycle_is_not_doubted():
     assert list(doubtful_clocks([Record([u], [u], 0.2)])) == []
 
 
+def test_one_sample_every_few_minutes_is_doubted_however_few_a_cycle_has():
+    """A converter of 10 kHz whose times are in microseconds and are taken for seconds."""
+    u = np.sin(2.0 * np.pi * np.arange(600) / 20.0)
+    assert "in microseconds, name their column t_us" in next(doubtful_clocks([Record([u], [u], 100.0)]))
+
+
 def _written(path, names, *columns):
     np.savetxt(path, np.column_stack(columns), delimiter=",", header=names, comments="", fmt="%.9g")
 
