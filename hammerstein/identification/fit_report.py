@@ -25,6 +25,7 @@ from hammerstein.identification.residual_analysis import (
     record_flags,
     residual_statements,
     shape_flags,
+    state_flags,
     turning_back_flags,
     untried,
 )
@@ -45,7 +46,10 @@ NIL_THRESHOLD = 1e-3
 
 
 class Errors(NamedTuple):
-    """Errors of every kind of model on the records fitted and held back, and the response to each input."""
+    """Errors of every kind of model on the records fitted and held back, and the response to each input.
+
+    given : the fitted records as they were given
+    """
 
     fitted: dict[Kind, Score]
     judged: dict[Kind, Score]
@@ -53,6 +57,7 @@ class Errors(NamedTuple):
     held_starts: tuple[InitialState, ...]
     response: Array
     trials: tuple[Trial, ...]
+    given: tuple[Record, ...]
 
 
 def left_out(records: Sequence[Record]) -> list[str]:
@@ -73,10 +78,12 @@ def fit_of(
     known: ParameterCovariance | None,
 ) -> Fit:
     """Everything that is said about the model."""
-    fitted, judged, held, held_starts, response, trials = errors
+    fitted, judged, held, held_starts, response, trials, given = errors
     record, settings, best = task.records[0], task.settings, built.best.candidate
     named = faults_left(best, task.records, task.starts)
     flags, plain = _flags(task, built, named), PLAYS_ALONE in built.notes
+    zeros_um = offsets(best, task.records, task.starts)
+    flags += state_flags(given, np.array(zeros_um), np.array(fitted[built.kind].rms_um))
     where = (held, held_starts) if held else (task.records, task.starts)
     residual = [*residual_statements(best, *where, settings)]
     swing = half_swing(task.records)
@@ -96,7 +103,7 @@ def fit_of(
         sample_time_s=record.sample_time_s,
         sensor_bandwidth_hz=settings.sensor_bandwidth_hz,
         sensor_delay_s=settings.sensor_delay_s,
-        offsets_um=offsets(best, task.records, task.starts),
+        offsets_um=zeros_um,
         starts=task.starts,
         held_starts=held_starts,
         axes=_sure_axes(built.best, known),

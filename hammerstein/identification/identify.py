@@ -168,7 +168,7 @@ def fit_plays(
     held_starts = _starts_of_held(held, built, settings)
     tell("testing the models")
     built, trials = _kept(task, built)
-    errors = Errors({}, {}, held, held_starts, response, trials)
+    errors = Errors({}, {}, held, held_starts, response, trials, records)
     return Prepared(records, replace(task, progress=_silent), built, curve, errors)
 
 

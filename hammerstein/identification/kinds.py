@@ -32,9 +32,11 @@ from hammerstein.identification.rates import several_rates
 from hammerstein.identification.score import Candidate, invertibility_of, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,
+    alike_starts,
     closed,
     each_alone,
     judged_starts,
+    split_state,
     unexplained,
 )
 from hammerstein.identification.static.regressors import InitialState
@@ -249,7 +251,9 @@ class HammersteinFit(NamedTuple):
         return ", ".join(shapes) or f"{self.behind.delay_samples:g} samples late"
 
 
-def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> HammersteinFit:
+def _with_axes(
+    task: Task, thresholds_v: Thresholds, alone: FittedBlock, sure_of_starts: bool = False
+) -> HammersteinFit:
     """Block, axes and initial states, fitted in turn until the error falls no further.
 
     The block is fitted with its bounds and all its nonlinear parameters, the axes together with its weights.
@@ -258,6 +262,7 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
     adapted to their effect.
 
     alone : the block found without axes
+    sure_of_starts : whether the initial states of the task stay
     """
     free, least = _free_delay(task), math.inf
     found = OutputDynamics((), 0.0 if free else task.delay_samples)
@@ -267,16 +272,35 @@ def _with_axes(task: Task, thresholds_v: Thresholds, alone: FittedBlock) -> Hamm
         like, enough = (_again(whole.block), ENOUGH) if turn else (None, ROUGHLY)
         whole = _before(task, thresholds_v, found, like, enough)
         found = whole.behind
-        begun = _begun_anew(task, thresholds_v, whole, first=turn == 0)
+        begun = whole if sure_of_starts else _begun_anew(task, thresholds_v, whole, first=turn == 0)
         moved = begun is not whole
         whole, found, task = begun, begun.behind, replace(task, starts=begun.starts)
         error = score(whole.candidate, task.records, task.starts).mean_percent
         if not (moved or lowers(error, least, WORTHWHILE)):
             break
         least = error
+    one = whole if sure_of_starts else _of_one_state(task, thresholds_v, whole)
+    if one is not whole:  # what was found with the other states is no good beginning
+        return _with_axes(replace(task, starts=one.starts), thresholds_v, alone, sure_of_starts=True)
     whole = _with_few_places(task, thresholds_v, whole)
     sure = sure_output_dynamics(task, whole.block.hysteresis, whole.behind)
     return _before(task, thresholds_v, sure, replace(whole.block, rough=True))._replace(behind=sure)
+
+
+def _of_one_state(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -> HammersteinFit:
+    """The same model, or one for which records that begin at one voltage and position begin in one state.
+
+    Plays told the states first. A kind and its creep that were fitted with wrong ones confirm them.
+    """
+    if task.settings.start != "auto" or not split_state(task.records, whole.starts):
+        return whole
+    task.progress("fitting with one initial state of all records")
+    ways = alike_starts(task.records)
+    others = [
+        _before(replace(task, starts=ways[kind]), thresholds_v, whole.behind, whole.block)
+        for kind in ("rest", "low", "high")
+    ]
+    return min([whole, *others], key=lambda one: score(one.candidate, task.records, one.starts).mean_percent)
 
 
 def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -> HammersteinFit:

@@ -11,12 +11,12 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.identification.excitation import is_noise
 from hammerstein.identification.options import PLAYS
-from hammerstein.identification.score import Candidate, ranges
+from hammerstein.identification.score import AT_REST, Candidate, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
-from hammerstein.records.record import Record, driven_inputs
+from hammerstein.records.record import FEWEST_AT_REST, Record, dead_start, driven_inputs
 from hammerstein.records.turning_points import noise_rms, turning_points
 
 FAR = 3.0
@@ -43,6 +43,8 @@ TIP = 0.05  # part of the range about an end of the swing
 RETURNED, WHOLE_SWING = 0.05, 0.5
 """Part of its range by which an output returns while the voltage goes on, from which a loop turns back on
 itself; swing, in parts of the largest, of which it is asked."""
+OTHER_STATE = 5.0
+"""Distance of the states in which two records begin, in parts of the error of the model, that is no error."""
 OF_A_CREEPING_MODEL = (
     ". The model has creep, but some creep remains in the prediction error, perhaps because of the "
     "kind of model: hammerstein compare tries the others"
@@ -191,6 +193,36 @@ def record_flags(
                 f"the error of {record.outputs[o]} in {PurePath(record.source).name} is "
                 f"{percent[o]:.1f} % of its range"
             )
+
+
+def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> Iterator[str]:
+    """Records that begin at rest at the same voltages and positions, and in different states for the model.
+
+    Of the same state, the reading that belongs to an output of zero is the same.
+
+    Parameters
+    ----------
+    given : records as they were given
+    offsets_um : (record, output) that reading [um]; rms_um : (output,) error of the model [um]
+    """
+    rested = [i for i, record in enumerate(given) if dead_start(record) + 1 >= FEWEST_AT_REST]
+    still = [given[i].y_um[:, : dead_start(given[i]) + 1].mean(axis=1) for i in rested]
+    swing_v = np.max([np.ptp(record.u_v, axis=1) for record in given], axis=0)
+    found = []
+    for (i, one), (j, other) in itertools.combinations(zip(rested, still, strict=True), 2):
+        moved_v = np.abs(given[i].u_v[:, 0] - given[j].u_v[:, 0])
+        alike = (moved_v <= AT_REST * swing_v).all() & (np.abs(one - other) <= rms_um)
+        apart = np.abs(offsets_um[i] - offsets_um[j]) * alike / np.maximum(rms_um, np.finfo(float).tiny)
+        o = int(np.argmax(apart))
+        found.append((float(apart[o]), i, j, o))
+    worst, i, j, o = max(found, default=(0.0, 0, 0, 0))
+    if worst > OTHER_STATE:
+        names = [PurePath(given[k].source).name for k in (i, j)]
+        yield (
+            f"{names[0]} and {names[1]} begin at rest at the same voltages and positions, but in states that "
+            f"are {abs(offsets_um[i, o] - offsets_um[j, o]):.3g} um of {given[0].outputs[o]} apart for the "
+            "model: it is wrong about one of them, unless the sensor was set to zero in between"
+        )
 
 
 def shape_flags(

@@ -12,6 +12,7 @@ from hammerstein.errors import IdentificationError
 from hammerstein.identification.options import InitialStateMode
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record, driven_inputs, moves_while_held, run_in
+from hammerstein.records.turning_points import noise_rms
 
 CLOSED_V = 0.01  # part of the range of the voltage
 CLOSED_UM = 0.02
@@ -39,6 +40,8 @@ ENDS = ("low", "high")
 """Of the range, from which a record may have stepped while that still creeps."""
 KINDS = ("rest", "virgin", "stepped", "low", "high")
 """What may have gone before a record."""
+SAME_PLACE = 5.0
+"""Distance of two first readings, in parts of their noise, that is no other position."""
 ALIKE = 2.0  # error of the beginning, in parts of that of the rest
 ALIKE_FLOOR = 0.002
 """A start from rest is believed if it explains the beginning as well as the model explains the rest."""
@@ -287,6 +290,21 @@ def alike_starts(records: Sequence[Record]) -> dict[str, tuple[InitialState, ...
     cautious = {"cautious": tuple(cautious_start(record) for record in records)}
     others = {kind: all_of(kind) for kind in KINDS}
     return cautious | others if all(closed(record) for record in records) else others | cautious
+
+
+def split_state(records: Sequence[Record], starts: Sequence[InitialState]) -> bool:
+    """Whether all records begin at one voltage and position, and not all in one state."""
+    if len({replace(start, turn_v=()) for start in starts}) < 2:
+        return False
+    places = [(record.rest_v + record.u_v[:, 0], record.y_um[:, 0]) for record in records]
+    swing_v = np.max([np.ptp(record.u_v, axis=1) for record in records], axis=0)
+    noise = np.max([[noise_rms(row) for row in record.y_um] for record in records], axis=0)
+    near_um = np.maximum(SAME_PLACE * noise, ALIKE_FLOOR * np.ptp(records[0].y_um, axis=1))
+    return all(
+        bool((np.abs(v - places[0][0]) <= CLOSED_V * swing_v).all())
+        and bool((np.abs(y - places[0][1]) <= near_um).all())
+        for v, y in places
+    )
 
 
 def _of_kind(kind: str, record: Record) -> InitialState:

@@ -189,8 +189,8 @@ def _draw_loop(
 def _draw_ideal(panels: Panels, runs: Sequence[LoopRun]) -> Artist:
     """Where a perfect compensator would be: on the diagonal, or at rest."""
     for (o, k), axes in panels.items():
-        reach = max(float(np.abs(run.input_).max()) for run in runs if run.driven == k)
-        ends = np.array([-reach, reach])
+        inputs = np.concatenate([run.input_ for run in runs if run.driven == k])
+        ends = np.array([inputs.min(), inputs.max()])
         (line,) = axes.plot(
             ends, ends if o == k else 0.0 * ends, color=PALE, linewidth=3.0, alpha=0.5, label="ideal"
         )
