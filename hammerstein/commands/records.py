@@ -270,6 +270,13 @@ class Identified:
     delay_samples: Annotated[int | None, typer.Option(help="Delay of the outputs; default: estimated.")] = (
         None
     )
+    start: Annotated[
+        str,
+        typer.Option(
+            metavar="WORD",
+            help="State in which each record begins: auto, rest (never driven), or repeated (as it ends).",
+        ),
+    ] = "auto"
     sensor_bandwidth: Annotated[
         float | None, typer.Option(metavar="HZ", help="Bandwidth of the sensor, from its data sheet.")
     ] = None

@@ -221,7 +221,8 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
         yield (
             f"{names[0]} and {names[1]} begin at rest at the same voltages and positions, but in states that "
             f"are {abs(offsets_um[i, o] - offsets_um[j, o]):.3g} um of {given[0].outputs[o]} apart for the "
-            "model: it is wrong about one of them, unless the sensor was set to zero in between"
+            "model: it is wrong about one of them, unless the sensor was set to zero in between. If the "
+            "actuator rested without history, --start rest says so"
         )
 
 

@@ -91,3 +91,24 @@ def test_play_begins_as_the_drive_file_says_and_positions_count_from_there(past,
     other = "--conditioned" if past == "never driven" else "--at-rest"
     with pytest.warns(Notice, match="not made for that"):
         CliRunner().invoke(app, ["play", "model.json", "drive.csv", other, "--out", "other.csv"])
+
+
+@pytest.mark.parametrize(("words", "conditioned"), [([], True), (["--start", "rest"], False)])
+def test_the_initial_state_can_be_given(words, conditioned, tmp_path, monkeypatch):
+    """A stage on its descending branch, and a person who says that it was never driven."""
+    monkeypatch.chdir(tmp_path)
+    u = rise_and_fall(100.0, 60.0)
+    table = np.column_stack([T * np.arange(u.size), u, stage(u, PAST["after both ends"])])
+    np.savetxt("r.csv", table, delimiter=",", header="time_s,u_V,x_um", comments="")
+    asked = [
+        "--thresholds",
+        "0,4,11,22,35",
+        "--dynamics",
+        "none",
+        "--solver",
+        "least_squares",
+        "--no-figures",
+    ]
+    result = CliRunner().invoke(app, ["identify", "r.csv", "--out", "m.json", *asked, *words])
+    assert result.exit_code == 0, result.output
+    assert HammersteinModel.load("m.json").recorded.conditioned == conditioned
