@@ -12,10 +12,10 @@ import numpy as np
 from hammerstein.blocks.voltages import Verdict
 from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError
+from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import Prepared, fit_kind, fit_plays, identify, settings_of_plays
 from hammerstein.identification.options import PLAYS, identifiable_kinds
-from hammerstein.identification.rates import several_rates
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import own_starts

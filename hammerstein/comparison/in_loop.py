@@ -10,8 +10,7 @@ from hammerstein.comparison.result import Unseen
 from hammerstein.dynamics import discretise
 from hammerstein.errors import HammersteinError, InputError
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-from hammerstein.identification.in_loop.periods import settled_periods
-from hammerstein.identification.in_loop.selection import Selection
+from hammerstein.identification.in_loop.selection import Selection, settled_periods
 from hammerstein.identification.model_selection import Trial, as_good, chosen, least
 from hammerstein.identification.options import PLAYS
 from hammerstein.identification.settings import Settings

@@ -11,7 +11,7 @@ from hammerstein.comparison.fitting import Failed
 from hammerstein.identification.fit import finite
 from hammerstein.identification.model_selection import CLOSE, FELT, NO_BETTER
 from hammerstein.identification.score import Score
-from hammerstein.identification.static.folds import PARTS
+from hammerstein.identification.static.normal_equations import PARTS
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
 

@@ -16,12 +16,12 @@ from hammerstein.identification.linear.axis_fit import AxesFit, AxisFit, fit_axe
 from hammerstein.identification.linear.axis_search import (
     FirstGuess,
     checked_delay,
+    rms_behind,
     search_axes,
     search_creep,
     search_lag,
     thinning,
 )
-from hammerstein.identification.linear.axis_steps import rms_behind
 from hammerstein.identification.linear.axis_task import (
     AxisShape,
     AxisTask,
@@ -32,10 +32,10 @@ from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.output_dynamics import MOST_CREEP, OutputDynamics
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.fitted_thresholds import criterion, gained
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import SlopeColumns, StaticFit, Thresholds, half_swing
+from hammerstein.identification.static.threshold_search import criterion, gained
 from hammerstein.identification.static_candidates import (
     KEPT,
     begun_static,

@@ -9,12 +9,13 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
 from hammerstein.identification.linear.axis_search import (
+    ROUGHLY,
     FirstGuess,
+    refine,
     search_creep,
     thinning,
     uniform_grids,
 )
-from hammerstein.identification.linear.axis_steps import ROUGHLY, refine
 from hammerstein.identification.linear.axis_task import AxisTask
 from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.operators import (

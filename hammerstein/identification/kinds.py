@@ -15,6 +15,7 @@ from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.columns import NEAR, chosen_columns, driven_of, error_left_out, few_places
+from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_search import FirstGuess
@@ -28,7 +29,6 @@ from hammerstein.identification.output_dynamics import (
     sure_output_dynamics,
 )
 from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
-from hammerstein.identification.rates import several_rates
 from hammerstein.identification.score import Candidate, invertibility_of, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,

@@ -16,8 +16,15 @@ from hammerstein.dynamics import (
     split_delay,
 )
 from hammerstein.identification.score import Candidate, columns_of, ranges
-from hammerstein.identification.static.folds import FOLDS, PARTS, moments_of_folds, refitted
-from hammerstein.identification.static.normal_equations import Moments, pooled, squares_left
+from hammerstein.identification.static.normal_equations import (
+    FOLDS,
+    PARTS,
+    Moments,
+    moments_of_folds,
+    pooled,
+    refitted,
+    squares_left,
+)
 from hammerstein.identification.static.regressors import InitialState, Regressors
 from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record

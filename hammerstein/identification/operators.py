@@ -14,9 +14,15 @@ from hammerstein.identification.static.closed_form import (
     thresholds_uniform_in_time,
     thresholds_uniform_in_voltage,
 )
-from hammerstein.identification.static.folds import PARTS, left_out, moments_of_folds, refitted
 from hammerstein.identification.static.initial_state import shortened
-from hammerstein.identification.static.normal_equations import coefficients, pooled
+from hammerstein.identification.static.normal_equations import (
+    PARTS,
+    coefficients,
+    left_out,
+    moments_of_folds,
+    pooled,
+    refitted,
+)
 from hammerstein.identification.static.regressors import InitialState, delayed, regressor_blocks
 from hammerstein.identification.static.static_block import half_swing, path_filters
 from hammerstein.records.record import Record, driven_inputs

@@ -20,10 +20,12 @@ from hammerstein.identification.linear.axis_search import (
     CREEP_SPANS,
     LAG_SAMPLES,
     SEARCH_GRID,
+    Point,
+    refine,
     refined_late,
+    rms_behind,
     thinning,
 )
-from hammerstein.identification.linear.axis_steps import Point, refine, rms_behind
 from hammerstein.identification.linear.axis_task import (
     LARGEST_CREEP,
     AxisShape,

@@ -13,10 +13,9 @@ from hammerstein.identification.model_selection import lowers
 from hammerstein.identification.operators import CURVE_SAMPLES
 from hammerstein.identification.score import invertibility_of
 from hammerstein.identification.sensor_model import SensorModel
-from hammerstein.identification.static.fitted_thresholds import fit_thresholds, gained
+from hammerstein.identification.static.closed_form import closed_form_model
 from hammerstein.identification.static.initial_state import closed, shortened
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.settled_loops import closed_form_model
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
     SquaresSolver,
@@ -28,7 +27,7 @@ from hammerstein.identification.static.static_block import (
     solve_static,
     static_moments,
 )
-from hammerstein.identification.static.threshold_search import ThresholdTask
+from hammerstein.identification.static.threshold_search import ThresholdTask, fit_thresholds, gained
 from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
 
 MOST_ROUNDS = 8

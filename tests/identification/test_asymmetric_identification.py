@@ -217,7 +217,7 @@ def test_the_error_left_out_is_that_of_plain_least_squares_on_coarser_grids():
     """Part by part with plain columns, while the choice sums those of its finest grid."""
     from hammerstein.hysteresis.asymmetric import DEAD_ZONES, PLAYS
     from hammerstein.identification.columns import PARTS, _errors_left_out
-    from hammerstein.identification.static.folds import FOLDS
+    from hammerstein.identification.static.normal_equations import FOLDS
 
     u = wave(samples=3000, turns=23.0)
     y = theory.asymmetric([u], [[R]], [[[3.0, 0.5, 0.6, 0.7]]], [[Q]], [[[0.6, -0.9, 0.5]]], [0.0])[0]

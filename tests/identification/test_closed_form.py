@@ -9,12 +9,13 @@ import theory
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.static.closed_form import (
     closed_form,
+    closed_form_model,
+    mean_cycle,
     nodes_uniform_in_time,
     rising_branch,
     thresholds_uniform_in_time,
     thresholds_uniform_in_voltage,
 )
-from hammerstein.identification.static.settled_loops import closed_form_model, mean_cycle
 from hammerstein.records.record import Record
 
 PERIOD = 400  # 50 Hz, samples of 50 us

@@ -15,11 +15,10 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import identify
 from hammerstein.identification.operators import input_grids
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.fitted_thresholds import fit_thresholds
 from hammerstein.identification.static.regressors import BLOCK, InitialState, regressor_blocks
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static.threshold_exchange import _sweep, exchanged, finer
-from hammerstein.identification.static.threshold_search import ThresholdTask, place_at
+from hammerstein.identification.static.threshold_search import ThresholdTask, fit_thresholds, place_at
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.signals import Multisine

@@ -10,7 +10,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.model_selection import fold_squares, parameters_of, trial_of
 from hammerstein.identification.operators import enough_operators, error_curve
 from hammerstein.identification.score import Candidate
-from hammerstein.identification.static.folds import FOLDS, left_out, moments_of_folds
+from hammerstein.identification.static.normal_equations import FOLDS, left_out, moments_of_folds
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
 

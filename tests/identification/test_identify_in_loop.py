@@ -13,7 +13,7 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-from hammerstein.identification.in_loop.periods import settled_periods
+from hammerstein.identification.in_loop.selection import settled_periods
 from hammerstein.records.record import Record
 
 TIME_S, SAMPLES = 1e-4, 1024

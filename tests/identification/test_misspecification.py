@@ -6,7 +6,7 @@ import pytest
 from random_actuators.truth import Actuator, law
 
 from hammerstein.identification.identify import identify
-from hammerstein.identification.misspecification import moved_beside_other_laws
+from hammerstein.identification.parameter_covariance import moved_beside_other_laws
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 

@@ -22,12 +22,12 @@ from hammerstein.hysteresis import (
     RateDependent,
     RatePlays,
 )
+from hammerstein.identification.excitation import rates_of_input
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import several_rates
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.output_dynamics import _sure
-from hammerstein.identification.rates import rates_of_input
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings

@@ -14,8 +14,8 @@ from hammerstein.compensators.exact.inverse import ExactInverse
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, RateDependent, RatePlays
+from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.identify import identify
-from hammerstein.identification.rates import several_rates
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel

@@ -11,11 +11,18 @@ from scipy import signal
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification.linear import weighted_lines
+from hammerstein.identification.linear import refinement
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
-from hammerstein.identification.linear.refinement import _normal_equations, _Place, refine, split
+from hammerstein.identification.linear.refinement import (
+    Matrices,
+    WeightedLines,
+    _normal_equations,
+    _Place,
+    refine,
+    split,
+    weigh,
+)
 from hammerstein.identification.linear.state_space import fit_state_space, stable, subspace
-from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, weigh
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "cubespec_fsm"
@@ -119,7 +126,7 @@ def test_many_lines_are_handled_in_pieces(monkeypatch: pytest.MonkeyPatch) -> No
     model = lines_model(system, rng)
     whole = sums(lines, model)
     start = lines.cost(subspace(lines, 3, 4))
-    monkeypatch.setattr(weighted_lines, "CHUNK", 40)
+    monkeypatch.setattr(refinement, "CHUNK", 40)
     for one, other in zip(whole, sums(lines, model), strict=True):
         assert np.allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(one).max())
     assert lines.cost(subspace(lines, 3, 4)) == pytest.approx(start, rel=1e-9)

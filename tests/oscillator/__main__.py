@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.dynamics import FeedbackBlock
-from hammerstein.identification.in_loop.any_kind import OpenLoop, fit_loop
-from hammerstein.identification.in_loop.search import SettledPeriod
+from hammerstein.identification.in_loop.search import OpenLoop, SettledPeriod, fit_loop
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.records.record import Record

@@ -17,10 +17,9 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.periods import from_one_point, settled_periods
 from hammerstein.identification.in_loop.result import Found, result_of
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
-from hammerstein.identification.in_loop.selection import Selection
+from hammerstein.identification.in_loop.selection import Selection, from_one_point, settled_periods
 from hammerstein.identification.in_loop.start import (
     linear_start,
     with_band,

@@ -10,7 +10,7 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.fit_report import left_out, model_of, offsets
 from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.periods import start_of
+from hammerstein.identification.in_loop.selection import start_of
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, Score, score

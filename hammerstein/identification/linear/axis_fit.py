@@ -12,11 +12,18 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
-from hammerstein.identification.linear.axis_search import FirstGuess, Progress, uniform_grids
-from hammerstein.identification.linear.axis_steps import Point, fit_slopes, refine, residuals
+from hammerstein.identification.excitation import drive_hz, lowest_hz, several_rates
+from hammerstein.identification.linear.axis_search import (
+    FirstGuess,
+    Point,
+    Progress,
+    fit_slopes,
+    refine,
+    residuals,
+    uniform_grids,
+)
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of
 from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
-from hammerstein.identification.rates import drive_hz, lowest_hz, several_rates
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
 from hammerstein.records.record import Record

@@ -10,8 +10,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
-from hammerstein.identification.linear.refinement import refine
-from hammerstein.identification.linear.weighted_lines import Matrices, WeightedLines, Weighting, weigh
+from hammerstein.identification.linear.refinement import Matrices, WeightedLines, Weighting, refine, weigh
 
 MARGIN = 1e-6
 """Distance from the unit circle of a pole that stood on it, after it is put back inside."""
