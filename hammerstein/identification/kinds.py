@@ -270,6 +270,7 @@ def _with_axes(
     for turn in range(MOST_TURNS):
         found = search_output_dynamics(task, whole.block.hysteresis, found, free and turn == DELAY_TURN)
         like, enough = (_again(whole.block), ENOUGH) if turn else (None, ROUGHLY)
+        task.progress(f"fitting hysteresis and dynamics together, round {turn + 1} of at most {MOST_TURNS}")
         whole = _before(task, thresholds_v, found, like, enough)
         found = whole.behind
         begun = whole if sure_of_starts else _begun_anew(task, thresholds_v, whole, first=turn == 0)
