@@ -74,9 +74,10 @@ class Voltages(Strict):
 
     def statement(self, inputs: Sequence[str]) -> str:
         """Say the recorded range and the working point of each input."""
+        past = " after both ends" * self.conditioned
         ends = zip(inputs, self.lowest_v, self.highest_v, self.working_point_v, strict=True)
         return "; ".join(
-            f"{name} from {low:.6g} to {high:.6g} V, at rest at {rest:.6g} V"
+            f"{name} from {low:.6g} to {high:.6g} V, at rest at {rest:.6g} V{past}"
             for name, low, high, rest in ends
         )
 

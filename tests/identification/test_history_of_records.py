@@ -55,6 +55,7 @@ def test_a_drive_begins_in_the_state_in_which_the_records_began(past, noise_um, 
     """The drive of the model follows the path on the stage, and the file says from which state."""
     model = fitted(PAST[past], noise_um)
     assert model.recorded.conditioned == (past == "after both ends")
+    assert ("after both ends" in model.recorded.statement(["u1"])) == model.recorded.conditioned
     path = path_um()
     drive = model.compensate([path], law="exact_inverse")
     error = stage(drive.drive_v[0], PAST[past]) - path
