@@ -13,14 +13,14 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, FiniteFloat
 
-from hammerstein.errors import InputError, SimulationError
+from hammerstein.errors import InputError, Mistake, SimulationError, refuse
 from hammerstein.experiment.report import Report
 from hammerstein.files import read_limited, refuse_no_file, write_atomic
 from hammerstein.metrics import METRICS
 from hammerstein.runtime.manifest import put_aside
-from hammerstein.scenario.assessment import DEFAULT as OTHERS
+from hammerstein.scenario.assessment import DEFAULT as OTHERS, numbers_of_judgements
 from hammerstein.scenario.scenario import Tolerance
-from hammerstein.validation import Strict, mistakes_in
+from hammerstein.validation import Strict, mistakes_in, suggestion
 
 FORMAT = "hammerstein-baseline/1"
 NOTHING = " \t\r\n{}[]"
@@ -258,6 +258,10 @@ def compare(
     tolerances : by name of the number; others may move by 0.1 %, but 1e-6 (angles: 0.001 degrees) in any
         case, and ``saturated_samples`` not at all
 
+    Raises
+    ------
+    InputError : a tolerance is for a number that no report has
+
     Examples
     --------
     >>> from hammerstein.experiment.run import run
@@ -268,7 +272,15 @@ def compare(
     >>> compare(report, Baseline.of(report))
     ()
     """
-    allowed = all_tolerances(tolerances)
+    allowed, names = all_tolerances(tolerances), [OTHERS, *METRICS, *numbers_of_judgements()]
+    refuse(
+        report.name,
+        [
+            Mistake(f"tolerances.{name}", f"is not a number of a report{suggestion(name, names)}")
+            for name in allowed
+            if name not in names
+        ],
+    )
     now, stored = numbers_of(report), baseline.rows
     lost, added = _columns(stored, now) - _columns(now), set(new_columns(report, baseline))
     return (

@@ -279,6 +279,11 @@ def test_a_phase_near_zero_may_move_by_a_thousandth_of_a_degree() -> None:
     assert tolerance_of("phase_deg", {"default": Tolerance(relative=0.1)}).relative == 0.1
 
 
+def test_a_tolerance_for_an_unknown_number_is_refused(loop: Report) -> None:
+    with pytest.raises(InputError, match=r"tolerances.rms_umm .*did you mean rms_um\?"):
+        compare(loop, Baseline.of(loop), {"rms_umm": Tolerance()})
+
+
 def test_rows_that_cannot_be_told_apart_are_refused(loop: Report) -> None:
     with pytest.raises(InputError, match=r"two rows are both .*compensator exact"):
         Baseline.of(with_rows(loop, ROW, ROW))
