@@ -31,6 +31,8 @@ from hammerstein.signals.units import spoken
 FIT = Owner("fit")
 MODEL = Owner("model", single=True)
 ALWAYS = ("fit.json", "report.html", "report.md")
+BELIEVED = 1.5
+"""Noise, in parts of the error, from which it is none: fast motion has large differences, too."""
 MOSTLY = 0.7
 """Noise of a record, in parts of an error there, from which half of its power is noise."""
 MOST_REMARKS = 2
@@ -188,9 +190,9 @@ def _error(fit: Fit) -> str:
     each = ", ".join(f"{um:.3g} um on {name}" for name, um in pairs)
     worst = at_most(max(score.nrmse_percent) / 100.0)
     records = "validation records" if fit.validation else "fitted records"
-    noise = noise_um(fit.held or fit.records)
-    if (noise > MOSTLY * np.array(score.rms_um)).any():
-        told = zip(noise.tolist(), map(spoken, fit.outputs), strict=True)
+    share = noise_um(fit.held or fit.records) / np.maximum(score.rms_um, np.finfo(float).tiny)
+    if (share > MOSTLY).any() and (share < BELIEVED).all():  # a model cannot miss by less than noise
+        told = zip((share * score.rms_um).tolist(), map(spoken, fit.outputs), strict=True)
         records += "; this includes their noise, " + ", ".join(f"{um:.3g} um on {name}" for um, name in told)
     return f"Rms error: {each}; {worst} of the range ({records})."
 
@@ -254,7 +256,7 @@ def _begun(fit: Fit) -> Iterator[tuple[str, str, Sequence[float]]]:
     creeps = any(fitted.axis.creep for fitted in fit.axes)
     for record, start, offsets in zip(fit.records, fit.starts, fit.offsets_um, strict=True):
         began = "while it still crept after a step" if start.held and creeps else BEGINNINGS[start.kind]
-        if start.kind == "repeated" and start.first:
+        if start.kind == "repeated" and (start.first or record.period_samples is not None):
             began = "in motion"
         if start.kind == "turned":
             turns = zip(fit.inputs, start.turn_v, record.rest_v, strict=True)

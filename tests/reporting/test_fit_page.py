@@ -14,8 +14,10 @@ from record_cases import plain
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
+from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel
 from hammerstein.model.covariance import ParameterCovariance
+from hammerstein.records.record import Record
 from hammerstein.reporting.figures.identified import operators_figure, residual_figure, response_figure
 from hammerstein.reporting.fit_page import Asked, fit_page, next_step
 
@@ -143,3 +145,15 @@ def test_an_error_far_above_the_noise_names_the_command_that_helps(fits: tuple[F
 
 def test_a_sample_time_is_given_in_us(fits: tuple[Found, Found]) -> None:
     assert "samples of 200 us" in fit_page(*fits[0]).markdown().replace("1 sample of", "samples of")
+
+
+@pytest.mark.parametrize(("held", "told"), [(40, True), (3, False)])
+def test_noise_is_named_where_it_is_noise_and_not_where_the_drive_is_as_fast(held: int, told: bool) -> None:
+    """A gain read with 0.01 um of noise: at voltages held for 40 samples, and for so few that all moves."""
+    generator = np.random.default_rng(5)
+    u = np.repeat(generator.uniform(-10.0, 10.0, 4200 // held), held)
+    record = Record([u], [2.0 * u + 0.01 * generator.standard_normal(u.size)], 1e-3)
+    settings = Settings(thresholds_v=[0.0], dynamics="none", delay_samples=0)
+    said = fit_page(*identify([record], settings)).markdown()
+    assert ("includes their noise, 0.01" in said) == told
+    assert ("includes their noise" in said) == told
