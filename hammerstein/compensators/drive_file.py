@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
-from hammerstein.blocks import Law as Law, checked_reference
+from hammerstein.blocks import Law as Law, checked_reference  # a type of what a drive file inherits
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.added_motion import approached, lead_in
 from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, Missed, Prediction, compensator_of

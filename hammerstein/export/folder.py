@@ -23,7 +23,7 @@ from hammerstein.errors import InputError, ToleranceError
 from hammerstein.export.code import CCode, MeasuredCode, rendered
 from hammerstein.export.literals import literal
 from hammerstein.export.request import Request
-from hammerstein.export.trial import FLAGS, PARTS, SAMPLES, build, compiler, entering, worst_case_step
+from hammerstein.export.trial import FLAGS, SAMPLES, WAVES, build, compiler, entering, worst_case_step
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import column
@@ -179,8 +179,8 @@ def measure(code: CCode, signal: Array, output: Array) -> MeasuredCode:
         wild = code.adverse(SEARCHED)
         climbed, tried = worst_case_step(lambda made: library.respond(made)[1], np.abs(wild).max(axis=1))
         most = max(library.respond(wild)[1], climbed)
-        smooth = signal[:, : SAMPLES // PARTS]
-        lost = np.abs(library.respond(smooth)[0] - output[:, : SAMPLES // PARTS])
+        smooth = signal[:, : SAMPLES // WAVES]
+        lost = np.abs(library.respond(smooth)[0] - output[:, : SAMPLES // WAVES])
     loss = {}
     if code.request.float32:
         loss = {"loss_rms": float(np.sqrt(np.mean(lost**2))), "loss_max": float(lost.max())}

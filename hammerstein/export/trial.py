@@ -139,7 +139,7 @@ def build(arguments: Sequence[str], flags: Sequence[str] = FLAGS, command: str |
 
 SAMPLES = 2000  # of the table that is shipped
 DIGITS = 6  # after the point: what a sine is in the last bits differs between machines
-PARTS = 6  # of the signal; the first one is smooth and within the reach
+WAVES = 6  # of the signal; the first one is smooth and within the reach
 BEYOND = 1.6  # times the reach, where it saturates
 
 
@@ -180,7 +180,7 @@ def _reach(law: Law[Any], model: HammersteinModel) -> tuple[Array, Array]:
 
 def _waves(axes: int, samples: int, seed: int) -> Iterator[Array]:
     """Parts within -1 to 1, but for the saturated one."""
-    rng, n = Uniform(seed), -(-samples // PARTS)
+    rng, n = Uniform(seed), -(-samples // WAVES)
     turn = 2.0 * np.pi * np.arange(n) / n
     rates = 3.0 + 2.0 * np.arange(axes)[:, None]
     yield 0.8 * np.sin(rates * turn) * np.minimum(1.0, 2.0 * turn / np.pi)

@@ -16,7 +16,7 @@ ALIKE = 0.05
 FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
 """Rates that are two, and what makes a loop the wider one: parts of the other, and percent of the height."""
 UNSURE_DAMPING_PERCENT = 30.0  # standard error of a damping ratio from which it is named
-HELD = 10.0
+LASTING = 10.0
 """Time constants for which a step must be held to tell a slow mode from an offset."""
 NO_CREEP = 1e-3
 """Standard error of a gain of creep below which a gain of none means that there is no creep to speak of."""
@@ -133,7 +133,7 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> Iterator
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:
                 small = error < NO_CREEP
-                longer = f"record a step that is held for {interval(HELD * mode.time_constant_s)}"
+                longer = f"record a step that is held for {interval(LASTING * mode.time_constant_s)}"
                 remedy = "the records show none; ask for fewer modes" if small else longer
                 yield (
                     f"creep of {name} with a time constant of {mode.time_constant_s:.3g} s: gain "
@@ -154,7 +154,7 @@ def _unsure_creep(name: str, fit: AxisFit) -> Iterator[str]:
     yield (
         f"creep of {name}: a slow mode with a time constant of {mode.time_constant_s:.3g} s would "
         f"lower the error from {fit.rms_um:.3g} to {larger.rms_um:.3g} um, but {why}; record a step "
-        f"that is held for {interval(HELD * mode.time_constant_s)}, or keep the mode with "
+        f"that is held for {interval(LASTING * mode.time_constant_s)}, or keep the mode with "
         f"--creep-modes {len(larger.axis.creep)}"
     )
 
