@@ -31,7 +31,7 @@ from hammerstein.identification.static_candidates import build_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Progress, Task
 from hammerstein.model import HammersteinModel
 from hammerstein.records.gains import refuse_swapped
-from hammerstein.records.record import FEWEST_AT_REST, Record, dead_start
+from hammerstein.records.record import Record, begins_at_rest, dead_start
 from hammerstein.runtime.resources import one_blas_thread
 
 P = ParamSpec("P")
@@ -286,8 +286,7 @@ def from_last_rest(
 
 def _without_dead_start(record: Record) -> Record:
     """The record without its initial rest: constant voltages and readings carry no information."""
-    dead = dead_start(record)
-    return record.part(dead, record.samples) if dead + 1 >= FEWEST_AT_REST else record
+    return record.part(dead_start(record), record.samples) if begins_at_rest(record) else record
 
 
 def _refuse_mixed(records: Sequence[Record]) -> None:

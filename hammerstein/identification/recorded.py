@@ -16,7 +16,7 @@ from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import WithLoop
 from hammerstein.identification.score import Candidate, begun
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.records.record import FEWEST_AT_REST, Record, dead_start, driven_inputs
+from hammerstein.records.record import Record, begins_at_rest, driven_inputs
 
 AT_AN_END = 0.01
 """Part of its range within which a voltage begins at an end of it."""
@@ -87,9 +87,7 @@ def _began_conditioned(
 def _began_at_rest(record: Record, k: int) -> bool:
     u = record.u_v[k]
     margin = AT_AN_END * float(np.ptp(u))
-    return (
-        bool(u[0] <= u.min() + margin or u[0] >= u.max() - margin) or dead_start(record) + 1 >= FEWEST_AT_REST
-    )
+    return bool(u[0] <= u.min() + margin or u[0] >= u.max() - margin) or begins_at_rest(record)
 
 
 def _middle(low: float, high: float) -> float:

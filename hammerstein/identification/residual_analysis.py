@@ -16,7 +16,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
-from hammerstein.records.record import FEWEST_AT_REST, Record, dead_start, driven_inputs
+from hammerstein.records.record import Record, begins_at_rest, dead_start, driven_inputs
 from hammerstein.records.turning_points import noise_rms, turning_points
 
 FAR = 3.0
@@ -205,7 +205,7 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
     given : records as they were given
     offsets_um : (record, output) that reading [um]; rms_um : (output,) error of the model [um]
     """
-    rested = [i for i, record in enumerate(given) if dead_start(record) + 1 >= FEWEST_AT_REST]
+    rested = [i for i, record in enumerate(given) if begins_at_rest(record)]
     still = [given[i].y_um[:, : dead_start(given[i]) + 1].mean(axis=1) for i in rested]
     swing_v = np.max([np.ptp(record.u_v, axis=1) for record in given], axis=0)
     found = []

@@ -230,6 +230,11 @@ def dead_start(record: Record) -> int:
     return 0 if moves_while_held(record) else _held(record)
 
 
+def begins_at_rest(record: Record) -> bool:
+    """Whether voltages and outputs stand still for long enough at the beginning."""
+    return dead_start(record) + 1 >= FEWEST_AT_REST
+
+
 def moves_while_held(record: Record) -> bool:
     """Whether an output rings or creeps at the beginning, while every driven voltage stands still."""
     held = _held(record)
