@@ -49,7 +49,7 @@ def simulated_trials(
     """
     samples = reference_um.shape[1]
     bandwidth = plant.instruments.sensor.bandwidth_hz
-    drive, done = centred(law, model, reference_um), []
+    drive, done = centred(law, model, reference_um)[0], []
     for number in range(trials):
         response = plant.respond(np.tile(drive, (1, SETTLING + MEASURED)), [seed, number])
         true = rms(response.position_um[:, -samples:] - reference_um)

@@ -98,6 +98,10 @@ class Verdict(Strict):
     nrmse_percent: tuple[Figure, ...] = Field(
         default=(), description="error of each output on the records used for the verdict"
     )
+    rms_um: tuple[Figure, ...] = Field(
+        default=(), description="the same in um, with the noise of the records"
+    )
+    noise_um: tuple[Figure, ...] = Field(default=(), description="white noise of the records in that error")
     rest_um: tuple[Figure, ...] = Field(
         default=(),
         description="error of each output at rest, about the mean error of its record; none where no record "

@@ -169,8 +169,8 @@ class Reached:
 
     def refuse_with_period(self) -> None:
         """Raise InputError for options that a period does not use, because it writes a run-up of its own."""
-        if self.lead_in or self.offset is not None or self.approach_side is not None:
-            options = "--lead-in, --offset, --approach-side"
+        if self.lead_in or self.approach_side is not None:
+            options = "--lead-in, --approach-side"
             raise InputError(options, "are for a path, not for a period (--cycle, --table, --learn)")
 
 

@@ -324,7 +324,7 @@ def loops(
     """
     from hammerstein.commands.terminal_tables import gains_table
     from hammerstein.records.gains import refuse_swapped
-    from hammerstein.records.loops import loop_table, move_at_once, turned_backwards, without_loops
+    from hammerstein.records.loops import loop_table, move_at_once, ringing, turned_backwards, without_loops
     from hammerstein.reporting.figures.loops import LOOPS, LOOPS_FILES, loops_of_records
     from hammerstein.runtime.manifest import refuse_name
     from hammerstein.runtime.staging import prepare_folder
@@ -344,8 +344,9 @@ def loops(
     for source, why in empty.items():
         complain(f"{source}: {why}")
     for record in records:
-        if turned := turned_backwards(found[record.source]):
-            complain(f"{record.source}: {turned}")
+        for doubt in (turned_backwards(found[record.source]), ringing(record, found[record.source])):
+            if doubt:
+                complain(f"{record.source}: {doubt}")
         for lost in record.outliers:
             complain(f"{record.source}: excluded outliers of {lost.column}: {lost.describe()}")
     if as_json:

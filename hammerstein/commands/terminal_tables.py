@@ -36,10 +36,10 @@ RUN = (
 )
 HELD = "valid-\nation"
 COMPARED = (
-    *("", "model", "param-\neters", "fitted", HELD, "as\ngood", "in-\nverse"),
-    *("compens.\nerror", "fit\ns", "step\nns"),
+    *("", "model", "param-\neters", "fitted", "cross-\nvalid.", HELD, "in-\nverse"),
+    *("drive\nerror", "fit\ns", "step\nns"),
 )
-RECOMMENDED = "*"
+RECOMMENDED, AS_GOOD = "*", "="
 _LEFT = 3  # the first columns hold words
 
 
@@ -145,11 +145,14 @@ def comparison_table(found: Comparison) -> Table:
     from hammerstein.reporting.compare_page import figures
 
     columns = [name for name in COMPARED if found.held or name != HELD]
-    table = _table(f"Models compared: errors in % of the range, {RECOMMENDED} recommended", columns)
+    title = f"errors in % of the range; {RECOMMENDED} recommended, {AS_GOOD} as good"
+    table = _table(f"Models compared: {title}", columns)
     for entry in found.entries:
-        marked = RECOMMENDED if entry.name == found.recommended else ""
+        marked = AS_GOOD if entry.as_good else ""
+        marked = RECOMMENDED if entry.name == found.recommended else marked
+        told = {name: cell for name, cell in figures(entry).items() if name != "as good"}
         times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
-        table.add_row(marked, entry.name, *figures(entry).values(), *times)
+        table.add_row(marked, entry.name, *told.values(), *times)
     return _narrow(table)
 
 

@@ -16,6 +16,7 @@ from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import Prepared, fit_kind, fit_plays, identify, settings_of_plays
 from hammerstein.identification.options import PLAYS, identifiable_kinds
+from hammerstein.identification.residual_analysis import stated_errors
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import own_starts
@@ -235,12 +236,12 @@ def _fitted(
     if not best:  # counts from any working point
         judged, starts = (fit.held, fit.held_starts) if fit.held else (fit.records, fit.starts)
         own = own_starts(judged, starts, candidate.predict, slow_s=candidate.slow_s)
-        left = score(candidate, judged, own).nrmse_percent
+        told = stated_errors(score(candidate, judged, own), judged)
         model = replace(
             model,
             hysteresis=candidate.hysteresis,
             dynamics=candidate.dynamics,
-            verdict=Verdict(flagged=False, held_out=bool(fit.held), nrmse_percent=left),
+            verdict=Verdict(flagged=False, held_out=bool(fit.held), **told),
             covariance=None,
         )
     model, flags = replace(model, name=name), fit.flags if best else ()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hammerstein.comparison.fitting import Failed
 from hammerstein.identification.fit import finite
-from hammerstein.identification.model_selection import CLOSE, FELT, NO_BETTER
+from hammerstein.identification.model_selection import CLOSE, FELT, NO_BETTER, lowers
 from hammerstein.identification.score import Score
 from hammerstein.identification.static.normal_equations import PARTS
 from hammerstein.model import HammersteinModel
@@ -216,6 +216,13 @@ class Comparison:
         elif best is not chosen:
             said.append(
                 f"{best.name} has a cross-validation error of {best.folds_percent:.3g} %, but no inverse."
+            )
+        other = min(self.entries, key=lambda entry: entry.judged.mean_percent)
+        if self.held and lowers(other.judged.mean_percent, chosen.judged.mean_percent):
+            said.append(
+                f"On the validation records, {other.name} has {other.judged.mean_percent:.3g} %, but "
+                f"{other.folds_percent:.3g} % in cross-validation, which decides: one other record can "
+                "favour a model by chance."
             )
         if self.unseen is not None:
             said.append(self.unseen.sentence())

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -16,7 +17,7 @@ from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Drive
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.added_motion import lead_in
-from hammerstein.compensators.path_file import half_span_v, travel_um
+from hammerstein.compensators.path_file import half_span_v
 from hammerstein.compensators.reach import Reach, Shortfall, shortfall
 from hammerstein.errors import HammersteinError, InputError
 from hammerstein.model import HammersteinModel
@@ -133,12 +134,22 @@ def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
         raise InputError("compensate", mistakes_of(error, COMPENSATORS.adapter())) from None
 
 
+def stated_error_um(model: HammersteinModel) -> Array | None:
+    """Rms error of the model on the records that judged it (p,) [um]; None where none has.
+
+    It includes their noise.
+    """
+    verdict = model.verdict
+    tested = verdict is not None and len(verdict.rms_um) == len(model.outputs)
+    return np.array(verdict.rms_um) if verdict is not None and tested else None
+
+
 def model_error_um(model: HammersteinModel) -> Array | None:
-    """Rms error of the model itself (p,) [um], by its fit report; None where no record has judged it."""
-    verdict, travel = model.verdict, travel_um(model)
-    if verdict is None or len(verdict.nrmse_percent) != len(model.outputs) or travel is None:
+    """Rms error of the model itself (p,) [um], without the noise of the records; None where untested."""
+    stated, verdict = stated_error_um(model), model.verdict
+    if stated is None or verdict is None:
         return None
-    return np.asarray(0.01 * np.array(verdict.nrmse_percent) * travel)
+    return np.sqrt(np.maximum(stated**2 - np.square(verdict.noise_um or 0.0), 0.0))
 
 
 def model_statement(model: HammersteinModel) -> str:
@@ -146,9 +157,12 @@ def model_statement(model: HammersteinModel) -> str:
     own = model_error_um(model)
     if own is None or model.verdict is None:
         return "The error of the model comes on top; it is untested."
-    each = ", ".join(f"{um:.2g} um rms on {name}" for name, um in zip(model.outputs, own, strict=True))
     records = "validation records" if model.verdict.held_out else "fitted records, more on others"
-    return f"The error of the model comes on top: {each} ({records})."
+    each = ", ".join(f"{um:.2g} um rms on {name}" for name, um in zip(model.outputs, own, strict=True))
+    rest = zip(model.outputs, model.verdict.rest_um, strict=False)
+    off = ", ".join(f"{um:.2g} um on {name}" for name, um in rest)
+    zero = f" The initial position, from which the path counts, is predicted within {off} rms." if off else ""
+    return f"The error of the model comes on top: {each} ({records}).{zero}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,8 +249,8 @@ SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
-class Missed:
-    """A path that is out of reach, and what tries to mend it start from.
+class Missed(ABC):
+    """A path that is out of reach, and what tries to mend it starts from.
 
     own_um : (p,) error of the model itself: what is missed by less is no miss
     moved : whether an offset is in the path already
@@ -246,10 +260,30 @@ class Missed:
     limits: DriveRange
     compensator: Compensator
     path_um: Array
-    found: Attempt
     own_um: Array
     reach: Reach
-    moved: bool = False
+    moved: bool
+
+    LEADS_IN: ClassVar[str] = ""
+    """Option that an offset path needs."""
+
+    @property
+    @abstractmethod
+    def clipped_um(self) -> float:
+        """Largest error with ``--clip`` [um]."""
+
+    @cached_property
+    def prefix(self) -> str:
+        """Option that the path needs beside others."""
+        return ""
+
+    @abstractmethod
+    def _limits_hit(self) -> str:
+        """Say which limit is hit, and how far off the path is."""
+
+    @abstractmethod
+    def _attempt(self, compensator: Compensator, path_um: Array) -> tuple[float, bool]:
+        """Largest error on a path [um], and whether it is within reach."""
 
     def statement(self) -> str:
         """Limit, excess and place in the first line, remedies in the second."""
@@ -259,15 +293,79 @@ class Missed:
 
     def remedies(self) -> list[tuple[float, str]]:
         """Remaining error [um] and options of each remedy that helps, the best one first."""
-        clipped = float(self.found.path_error_um.max())
         led, complete = self._attempt(self.compensator, self.path_um)
         if self.prefix and complete:
-            return [(led, self.prefix), (clipped, "--clip")]
+            return [(led, self.prefix), (self.clipped_um, "--clip")]
         tried = [*self._moved(), *self._softened(), *self._filtered(self.path_um, self.prefix)]
         if not tried:  # corners of a path that does not even begin within reach
             tried += [found for moved in self._towards_the_middle() for found in self._filtered(*moved)]
         tried.append((led, f"{self.prefix} --clip".strip()))
-        return [*sorted(helping for helping in tried if helping[0] < clipped), (clipped, "--clip")]
+        helping = sorted(one for one in tried if one[0] < self.clipped_um)
+        return [*helping, (self.clipped_um, "--clip")]
+
+    def _towards_the_middle(self, share: float = 1.0) -> list[tuple[Array, str]]:
+        """The path moved to the middle of the reach, and the options for it; none if it was moved already."""
+        middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
+            self.path_um.max(axis=1) + self.path_um.min(axis=1)
+        )
+        if self.moved or not np.isfinite(middle).all():
+            return []
+        offset = np.array([float(f"{share * value:.3g}") for value in middle])
+        words = f"{self.LEADS_IN} --offset={','.join(f'{value:g}' for value in offset)}"
+        return [(self.path_um + offset[:, None], words.strip())]
+
+    def _moved(self) -> Iterator[tuple[float, str]]:
+        """The path moved towards the middle of what can be reached, as little as brings it within reach."""
+        for path_um, words in (moved for share in MOVED for moved in self._towards_the_middle(share)):
+            left, within = self._attempt(self.compensator, path_um)
+            if within:
+                yield left, words
+                return
+
+    def _softened(self) -> Iterator[tuple[float, str]]:
+        """The least softening with which the path is within reach."""
+        span = float(self.limits.span_v.max())
+        if getattr(self.compensator, "softening_v", None) != 0.0 or not np.isfinite(span):
+            return
+        yield from self._first(self.path_um, self.prefix, "softening_v", (part * span for part in SOFTENED))
+
+    def _filtered(self, path_um: Array, prefix: str) -> Iterator[tuple[float, str]]:
+        """The highest bandwidth of the reference filter with which a path is within reach.
+
+        prefix : options that the path needs beside it
+        """
+        if not hasattr(self.compensator, "filter_hz") or self.compensator.filter_hz is not None:
+            return
+        nyquist = 0.5 / self.model.instruments.drive.sample_time_s
+        lowest = max(4.0 * nyquist / path_um.shape[1], nyquist / FILTER_DECADES)
+        yield from self._first(
+            path_um, prefix, "filter_hz", np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS)
+        )
+
+    def _first(
+        self, path_um: Array, prefix: str, option: str, values: Iterable[float]
+    ) -> Iterator[tuple[float, str]]:
+        """The first value of an option, of two digits, with which a path is within reach."""
+        for value in (float(f"{each:.2g}") for each in values):
+            tried = self.compensator.model_copy(update={option: value})
+            left, within = self._attempt(tried, path_um)
+            if within:
+                yield left, f"{prefix} --{option.replace('_', '-')} {value:g}".strip()
+                return
+
+
+@dataclass(frozen=True, eq=False)
+class MissedPath(Missed):
+    """A path that a drive misses from its beginning to its end."""
+
+    found: Attempt
+
+    LEADS_IN: ClassVar[str] = "--lead-in"
+
+    @property
+    def clipped_um(self) -> float:
+        """Largest error with ``--clip`` [um]."""
+        return float(self.found.path_error_um.max())
 
     @cached_property
     def prefix(self) -> str:
@@ -331,53 +429,3 @@ class Missed:
             return np.inf, False
         within = found.predicted.complete or bool((found.path_error_um <= self.own_um).all())
         return float(found.path_error_um.max()), within
-
-    def _towards_the_middle(self, share: float = 1.0) -> list[tuple[Array, str]]:
-        """The path moved to the middle of the reach, and the options for it; none if it was moved already."""
-        middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
-            self.path_um.max(axis=1) + self.path_um.min(axis=1)
-        )
-        if self.moved or not np.isfinite(middle).all():
-            return []
-        offset = np.array([float(f"{share * value:.3g}") for value in middle])
-        words = f"--lead-in --offset={','.join(f'{value:g}' for value in offset)}"
-        return [(self.path_um + offset[:, None], words)]
-
-    def _moved(self) -> Iterator[tuple[float, str]]:
-        """The path moved towards the middle of what can be reached, as little as brings it within reach."""
-        for path_um, words in (moved for share in MOVED for moved in self._towards_the_middle(share)):
-            left, within = self._attempt(self.compensator, path_um)
-            if within:
-                yield left, words
-                return
-
-    def _softened(self) -> Iterator[tuple[float, str]]:
-        """The least softening with which the path is within reach."""
-        span = float(self.limits.span_v.max())
-        if getattr(self.compensator, "softening_v", None) != 0.0 or not np.isfinite(span):
-            return
-        yield from self._first(self.path_um, self.prefix, "softening_v", (part * span for part in SOFTENED))
-
-    def _filtered(self, path_um: Array, prefix: str) -> Iterator[tuple[float, str]]:
-        """The highest bandwidth of the reference filter with which a path is within reach.
-
-        prefix : options that the path needs beside it
-        """
-        if not hasattr(self.compensator, "filter_hz") or self.compensator.filter_hz is not None:
-            return
-        nyquist = 0.5 / self.model.instruments.drive.sample_time_s
-        lowest = max(4.0 * nyquist / path_um.shape[1], nyquist / FILTER_DECADES)
-        yield from self._first(
-            path_um, prefix, "filter_hz", np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS)
-        )
-
-    def _first(
-        self, path_um: Array, prefix: str, option: str, values: Iterable[float]
-    ) -> Iterator[tuple[float, str]]:
-        """The first value of an option, of two digits, with which a path is within reach."""
-        for value in (float(f"{each:.2g}") for each in values):
-            tried = self.compensator.model_copy(update={option: value})
-            left, within = self._attempt(tried, path_um)
-            if within:
-                yield left, f"{prefix} --{option.replace('_', '-')} {value:g}".strip()
-                return

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -11,10 +11,19 @@ import numpy as np
 from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.attempt import drive_within, model_statement, sensorless_law
+from hammerstein.compensators import Compensator
+from hammerstein.compensators.attempt import (
+    Missed,
+    compensator_of,
+    drive_within,
+    model_statement,
+    sensorless_law,
+    stated_error_um,
+)
 from hammerstein.compensators.drive_file import (
     Terms,
     allowed_range,
+    moved,
     refuse_beyond,
     refuse_flagged,
     verdict_statements,
@@ -27,8 +36,9 @@ from hammerstein.compensators.path_file import (
     predicted_groups,
     read_path,
 )
+from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import linearised, on_grid
-from hammerstein.errors import SimulationError
+from hammerstein.errors import HammersteinError, SimulationError
 from hammerstein.metrics import rms
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import length
@@ -44,6 +54,7 @@ PLAYED_PERIODS = 10
 """The settled error is that of this period: hysteresis forgets in one, resonances of Q = 100 in ten."""
 CENTRING_ROUNDS = 20
 """Each takes a step towards the middle, or halves the step."""
+HELD = "the range limits the drive in {} of {} samples of a settled period, with {} (--range)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,25 +173,49 @@ class Design:
 
     model: HammersteinModel
     limits: DriveRange
+    compensator: Compensator
     law: Law[Any]
     reference_um: Array
     source: str
     path: str
     resampled: str
 
-    def cycle(self, asked_v: Array, terms: Terms) -> Cycle:
+    def of_law(self, terms: Terms) -> Cycle:
+        """One settled period of the law.
+
+        Raises SimulationError where the range keeps it off the path by more than the error of the model.
+        """
+        asked, at_range = centred(self.law, self.model, self.reference_um)
+        cycle = self.cycle(asked, terms, at_range)
+        missed, own = np.abs(cycle.error_um).max(axis=1), stated_error_um(self.model)
+        if at_range and not terms.clip and not (own is not None and (missed <= own).all()):
+            raise SimulationError(f"{self.path}: out of reach: {self._missed(cycle, at_range, terms)}")
+        return cycle
+
+    def of_trial(self, drive_v: Array, terms: Terms) -> Cycle:
+        """The period that a trial has corrected; SimulationError for voltages at the range."""
+        at_range = int(self.limits.reached(drive_v).any(axis=0).sum())
+        if at_range and not terms.clip:
+            hit = HELD.format(at_range, drive_v.shape[1], self.limits.words(self.model.inputs))
+            raise SimulationError(f"{self.path}: out of reach: {hit}. Accept it with --clip.")
+        return replace(self.cycle(drive_v, terms, at_range), learnt=True)
+
+    def _missed(self, cycle: Cycle, at_range: int, terms: Terms) -> str:
+        model, limits = self.model, self.limits
+        own, reachable = stated_error_um(model), reach(model, limits, run_anyway=True)
+        least = np.zeros(len(model.outputs)) if own is None else own
+        given = (model, limits, self.compensator, self.reference_um, least, reachable)
+        missed = MissedPeriod(*given, terms.offset_um is not None, cycle, at_range)
+        return f"{missed.statement()}\n{reachable.statement(model.outputs)}"
+
+    def cycle(self, asked_v: Array, terms: Terms, at_range: int = 0) -> Cycle:
         """One period of these voltages on the steps of the converter, if they are allowed.
 
-        Raises SimulationError for voltages at the range, or beyond the records.
+        at_range : samples in which a law wanted more than the range
+
+        Raises SimulationError for voltages beyond the records.
         """
         model, limits = self.model, self.limits
-        at_range = int(limits.reached(asked_v).any(axis=0).sum())
-        if at_range and not terms.clip:
-            raise SimulationError(
-                f"{self.path}: the path is out of reach. Its drive is at the limit in {at_range} of "
-                f"{asked_v.shape[1]} samples of a settled period, with {limits.words(model.inputs)} "
-                "(--range). Make it smaller or slower, or accept it with --clip."
-            )
         converter, time_s = drive_within(model, limits), model.instruments.drive.sample_time_s
         sent, _ = converter.apply(asked_v)
         if not terms.beyond_records:
@@ -190,6 +225,9 @@ class Design:
         way, _ = converter.apply(run_up(sent, limits.start_v, time_s))
         first = play(np.concatenate([way, sent], axis=1))[:, way.shape[1] :]
         said = f"{self.resampled} {self.law.statement()}".strip()
+        if at_range:
+            hit = HELD.format(at_range, sent.shape[1], limits.words(model.inputs))
+            said = f"{hit[0].upper()}{hit[1:]}. {said}"
         return Cycle(
             model, limits, time_s, self.reference_um, sent, position, closure, self.source, said, way, first
         )
@@ -210,8 +248,9 @@ def design_of(
     time_s = model.instruments.drive.sample_time_s
     _, path_um, found = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units)
     onlooker.tell("computing the period")
-    built = sensorless_law(law, options, model, limits, time_s)
-    return Design(model, limits, built, path_um, source, str(path), found)
+    compensator, path_um = compensator_of(law, options), moved(path_um, terms.offset_um)
+    built = sensorless_law(compensator, {}, model, limits, time_s)
+    return Design(model, limits, compensator, built, path_um, source, str(path), found)
 
 
 def cycle_of(
@@ -234,8 +273,37 @@ def cycle_of(
     IdentificationError : the model's own fit report flagged it
     """
     terms = terms or Terms()
-    design = design_of(model_path, path, law, options, terms, onlooker)
-    return design.cycle(centred(design.law, design.model, design.reference_um), terms)
+    return design_of(model_path, path, law, options, terms, onlooker).of_law(terms)
+
+
+@dataclass(frozen=True, eq=False)
+class MissedPeriod(Missed):
+    """A periodic path that a settled drive misses."""
+
+    found: Cycle
+    at_range: int
+
+    @property
+    def clipped_um(self) -> float:
+        """Largest error with ``--clip`` [um]."""
+        return float(np.abs(self.found.error_um).max())
+
+    def _limits_hit(self) -> str:
+        hit = HELD.format(self.at_range, self.path_um.shape[1], self.limits.words(self.model.inputs))
+        missed = zip(self.model.outputs, np.abs(self.found.error_um).max(axis=1).tolist(), strict=True)
+        return (
+            f"{hit}; the error is up to {', '.join(f'{length(um, 2)} um on {name}' for name, um in missed)}."
+        )
+
+    def _attempt(self, compensator: Compensator, path_um: Array) -> tuple[float, bool]:
+        model, limits, time_s = self.model, self.limits, self.found.sample_time_s
+        try:
+            drive, at_range = centred(sensorless_law(compensator, {}, model, limits, time_s), model, path_um)
+        except HammersteinError:
+            return np.inf, False
+        play = player(model, limits, time_s)
+        error = np.abs(settled_position(play, drive, limits.start_v, time_s)[0] - path_um).max(axis=1)
+        return float(error.max()), not at_range or bool((error <= self.own_um).all())
 
 
 def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Array:
@@ -264,8 +332,10 @@ def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
     )
 
 
-def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Array:
+def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> tuple[Array, int]:
     """Settled drive (m, N) that stays on the path when it is played from the start again and again.
+
+    And the number of samples in which the range limits it: a clipped drive that is shifted no longer shows.
 
     Plays that a loop does not move in both directions keep a state that depends on how the loop began. A
     table begins differently from the law, so that its loop has another centre and the same shape. The
@@ -273,6 +343,7 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
     """
     time_s, limits = model.instruments.drive.sample_time_s, law.range
     drive, share = settled(law, model, reference_um), 1.0
+    clipped = limits.reached(drive).any(axis=0)
     turn = np.linalg.pinv(model.gain(half_stroke(drive)))
     play = player(model, limits, time_s)
     off = _middle(settled_position(play, drive, limits.start_v, time_s)[0] - reference_um)
@@ -283,7 +354,7 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
             drive, off = trial, left
         else:
             share *= 0.5
-    return drive
+    return drive, int((clipped | limits.reached(drive).any(axis=0)).sum())
 
 
 def half_stroke(drive_v: Array) -> float:

@@ -13,7 +13,14 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law as Law, checked_reference  # a type of what a drive file inherits
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.added_motion import approached, lead_in
-from hammerstein.compensators.attempt import Attempt, LawLike as LawLike, Missed, Prediction, compensator_of
+from hammerstein.compensators.attempt import (
+    Attempt,
+    LawLike as LawLike,
+    MissedPath,
+    Prediction,
+    compensator_of,
+    stated_error_um,
+)
 from hammerstein.compensators.path_file import (
     UNWATCHED,
     Onlooker,
@@ -147,10 +154,11 @@ class Compensation(Attempt):
         """Say that the range limits the drive, and by how much less than the model errs."""
         lead, limited = self.lead, self.shortfall.at_range.any(axis=0)
         if limited[lead:].any():
-            return "The drive reaches the limit of its range; the error of this is below the model error."
+            return "The drive reaches the limit of its range; this adds less error than the model has."
         most = f"{np.abs(self.shortfall.error_um[:, :lead]).max():.2g} um"
         return (
-            f"The range limits the lead-in, by up to {most}; on the path, the error is below the model error."
+            f"The range limits the lead-in, by up to {most}; on the path, it adds less error than the model "
+            "has."
         )
 
     @cached_property
@@ -315,14 +323,16 @@ def compensation_of(
     found = Attempt.of(model, limits, compensator, np.hstack([before, path]), before.shape[1])
     prediction = Prediction.of(model, found)
     own = NOTHING * np.ptp(path, axis=1)
-    if prediction.model is not None:
-        own = np.maximum(own, prediction.model)
+    if (stated := stated_error_um(model)) is not None:
+        own = np.maximum(own, stated)
     held = not found.predicted.complete and bool(
         (found.path_error_um <= own).all() or (found.limited_um(model, limits, compensator) <= own).all()
     )
     reachable = reach(model, limits, run_anyway=True)
     if not (terms.clip or held or found.predicted.complete):
-        missed = Missed(model, limits, compensator, path, found, own, reachable, terms.offset_um is not None)
+        missed = MissedPath(
+            model, limits, compensator, path, own, reachable, terms.offset_um is not None, found
+        )
         raise SimulationError(
             f"out of reach: {missed.statement()}\n{reachable.statement(model.outputs)} These positions count "
             f"from the initial one (--start), with {limits.words(model.inputs)} (--range)."

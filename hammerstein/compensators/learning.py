@@ -231,7 +231,7 @@ def ilc_update(
     if above_noise.any():
         now, _ = settled_position(player(model, law.range, time_s), drive_v, law.range.start_v, time_s)
         change = np.fft.irfft(np.where(above_noise, share * error, 0.0), samples, axis=1)
-        drive = centred(law, model, now + change)
+        drive, _ = centred(law, model, now + change)
     slowest = float((1.0 - share[above_noise] * (1.0 - delta[above_noise])).max(initial=0.0))
     unsure_at = frequency[(share == 0.0).any(axis=0)]
     read = _rms_of(deviation, samples)
@@ -363,7 +363,7 @@ def learn_from_files(
     if before is not None:
         found = found.after(*_taught(design, before, uncertainty, terms.units))
     try:
-        return replace(design.cycle(found.drive_v, terms), learnt=True), found
+        return design.of_trial(found.drive_v, terms), found
     except SimulationError as error:
         asks = f"The correction from {trial[1]} asks for it: check where its zero is, the initial position"
         raise SimulationError(f"{error} {asks}.") from None
@@ -453,7 +453,7 @@ class LearnedLaw(Learner):
 
     def first(self, reference_um: Array) -> Array:
         """Voltages of the inverse, see ``Learner.first``."""
-        return centred(self.inverse, self.model, reference_um)
+        return centred(self.inverse, self.model, reference_um)[0]
 
     def following(
         self,

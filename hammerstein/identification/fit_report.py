@@ -26,6 +26,7 @@ from hammerstein.identification.residual_analysis import (
     residual_statements,
     shape_flags,
     state_flags,
+    stated_errors,
     turning_back_flags,
     untried,
 )
@@ -262,7 +263,7 @@ def model_of(fit: Fit, best: Candidate, name: str, instruments: Instruments | No
             statements=fit.flags,
             held_out=bool(fit.held),
             sentence=fit.verdict,
-            nrmse_percent=fit.judged[fit.kind].nrmse_percent,
+            **stated_errors(fit.judged[fit.kind], fit.held or fit.records),
             rest_um=_rest_um(fit, best),
         ),
     )

@@ -11,7 +11,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.identification.excitation import is_noise
 from hammerstein.identification.options import PLAYS
-from hammerstein.identification.score import AT_REST, Candidate, ranges
+from hammerstein.identification.score import AT_REST, Candidate, Score, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
@@ -49,6 +49,8 @@ OF_A_CREEPING_MODEL = (
     ". The model has creep, but some creep remains in the prediction error, perhaps because of the "
     "kind of model: hammerstein compare tries the others"
 )
+BELIEVED = 1.5
+"""Noise, in parts of the error, from which it is none: fast motion has large differences, too."""
 
 
 def residual_statements(
@@ -83,6 +85,21 @@ def residual_statements(
 def noise_um(records: Sequence[Record]) -> Array:
     """Rms white noise of each output (output,) in the median of the records [um]."""
     return np.median([[noise_rms(row) for row in record.y_um] for record in records], axis=0)
+
+
+def noise_within(records: Sequence[Record], rms_um: Sequence[float]) -> Array:
+    """White noise of each output (output,) that is part of an error on the records [um].
+
+    0 for all where it is far above an error: a model cannot miss by less than noise.
+    """
+    noise = noise_um(records)
+    return np.minimum(noise, rms_um) if (noise < BELIEVED * np.array(rms_um)).all() else 0.0 * noise
+
+
+def stated_errors(found: Score, records: Sequence[Record]) -> dict[str, tuple[float, ...]]:
+    """Errors on records as a model file states them, with the part of them that is noise."""
+    noise = tuple(noise_within(records, found.rms_um).tolist())
+    return {"nrmse_percent": found.nrmse_percent, "rms_um": found.rms_um, "noise_um": noise}
 
 
 def faults_left(

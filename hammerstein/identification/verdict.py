@@ -113,8 +113,8 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> Iterator
         elif not fit.identified:
             yield (
                 f"resonance and damping of {name}: dynamics {_how_much_better(fit)} ({fit.rms_um:.4g} "
-                f"um with, {fit.static_rms_um:.4g} um without); excite the axis nearer to its "
-                "resonance"
+                f"um with, {fit.static_rms_um:.4g} um without, both with the initial thresholds); excite the "
+                "axis nearer to its resonance"
             )
         elif fit.axis.resonance_hz is None:
             yield f"resonance and damping of {name}: a low-pass fits the records equally well"

@@ -42,6 +42,10 @@ CLEAR = 3.0
 """Noise, times this, by which an output must fall for its gain to be negative."""
 BACKWARDS_PERCENT = -5.0
 """Width from which a loop turns the other way: bent branches and noise make small negative widths."""
+SWINGS, RINGS_SHARE = 8, 0.002
+"""Crossings of its bend on each branch, and their rms in parts of the height, from which an output rings."""
+ONE_WAY = 1.05
+"""Way of the voltage on a branch, in parts of its swing, up to which no minor loop is on it."""
 SETTLED_NOISE = 3.0
 """And the noise, times this: the rms difference of two equal cycles is 1.4 times the noise."""
 
@@ -201,6 +205,43 @@ def turned_backwards(loops: Sequence[Loop]) -> str | None:
                 "period: the width is not hysteresis. Use a lower frequency, or swap the columns"
             )
     return None
+
+
+def ringing(record: Record, loops: Sequence[Loop]) -> str | None:
+    """Why the widths of a record are not those of hysteresis alone, where an output rings along a branch.
+
+    Between two turns of the voltage, hysteresis bends an output once. One that swings about such a bend many
+    times rings: at the mid voltage, the loop is as wide as the ringing happens to be there. Of each input
+    only the output that it moves most is judged.
+
+    Examples
+    --------
+    >>> u = np.abs(np.arange(-1000, 1001) % 1000 - 500.0)
+    >>> ringing(Record([u], [u + 5.0 * np.sin(u)], 1e-3), loop_table(Record([u], [u], 1e-3)))[:40]
+    'y1 and u1: the output rings near 160 Hz '
+    """
+    for name, own in by_key(telling_loops(loops), lambda loop: loop.input).items():
+        largest = max(own, key=lambda loop: loop.height_um)
+        u, y = record.u_v[record.inputs.index(name)], record.y_um[record.outputs.index(largest.output)]
+        parts = [slice(largest.start, largest.turn + 1), slice(largest.turn, largest.stop + 1)]
+        branches = [y[part] for part in parts if np.abs(np.diff(u[part])).sum() < ONE_WAY * np.ptp(u[part])]
+        swings = [branch - _bend(branch) for branch in branches if len(branch) > SWINGS]
+        turns = sum(int(np.count_nonzero(np.diff(np.signbit(swing)))) for swing in swings)
+        size = max((float(swing.std()) for swing in swings), default=0.0)
+        least = max(CLEAR * noise_rms(y), RINGS_SHARE * largest.height_um)
+        if branches and turns >= SWINGS * len(branches) and size > least:
+            hertz = 0.5 * turns / (largest.samples * record.sample_time_s)
+            return (
+                f"{largest.output} and {name}: the output rings near {hertz:.3g} Hz ({size:.2g} um rms): "
+                "widths and areas include it. Use a lower frequency, or sines in place of triangles"
+            )
+    return None
+
+
+def _bend(branch: Array) -> Array:
+    """The cubic that is nearest to a branch."""
+    x = np.linspace(-1.0, 1.0, len(branch))
+    return np.polynomial.Polynomial.fit(x, branch, 3)(x)
 
 
 def widest_cycle(records: Sequence[Record], k: int, alone: bool = True) -> tuple[int, slice] | None:

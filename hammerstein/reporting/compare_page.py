@@ -82,6 +82,7 @@ def figures(entry: Compared) -> dict[str, str]:
     return {
         "parameters": str(entry.parameters),
         "fitted [%]": f"{entry.fitted.mean_percent:.3g}",
+        "cross-validation [%]": f"{entry.folds_percent:.3g}",
         **held,
         "as good": "yes" if entry.as_good else "no",
         "exact inverse": "yes" if entry.has_inverse else "no",

@@ -18,7 +18,7 @@ from hammerstein.experiment.report import TINY, percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
-from hammerstein.identification.residual_analysis import noise_um
+from hammerstein.identification.residual_analysis import noise_within
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import interval
 from hammerstein.reporting.figures.identified import identified_figures
@@ -31,8 +31,6 @@ from hammerstein.signals.units import spoken
 FIT = Owner("fit")
 MODEL = Owner("model", single=True)
 ALWAYS = ("fit.json", "report.html", "report.md")
-BELIEVED = 1.5
-"""Noise, in parts of the error, from which it is none: fast motion has large differences, too."""
 MOSTLY = 0.7
 """Noise of a record, in parts of an error there, from which half of its power is noise."""
 MOST_REMARKS = 2
@@ -190,9 +188,9 @@ def _error(fit: Fit) -> str:
     each = ", ".join(f"{um:.3g} um on {name}" for name, um in pairs)
     worst = at_most(max(score.nrmse_percent) / 100.0)
     records = "validation records" if fit.validation else "fitted records"
-    share = noise_um(fit.held or fit.records) / np.maximum(score.rms_um, np.finfo(float).tiny)
-    if (share > MOSTLY).any() and (share < BELIEVED).all():  # a model cannot miss by less than noise
-        told = zip((share * score.rms_um).tolist(), map(spoken, fit.outputs), strict=True)
+    noise = noise_within(fit.held or fit.records, score.rms_um)
+    if (noise > MOSTLY * np.array(score.rms_um)).any():
+        told = zip(noise.tolist(), map(spoken, fit.outputs), strict=True)
         records += "; this includes their noise, " + ", ".join(f"{um:.3g} um on {name}" for um, name in told)
     return f"Rms error: {each}; {worst} of the range ({records})."
 

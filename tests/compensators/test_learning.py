@@ -138,7 +138,7 @@ def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
     lines = np.fft.rfftfreq(path.shape[1], T)
     first = lines[(uncertainty.relative(model, lines, T) >= 1.0).any(axis=1)][0]
     assert 80.0 < first < 280.0  # at the resonances, or before
-    taught = ilc_update(model, law, path, centred(law, model, path), np.tile(0.9 * path, 3), uncertainty)
+    taught = ilc_update(model, law, path, centred(law, model, path)[0], np.tile(0.9 * path, 3), uncertainty)
     assert taught.limit_hz == first
     assert f"Above {first:.4g} Hz the model is too uncertain." in taught.statement()
     assert f"Go on: play the new drive, corrected at {taught.learnt} lines" in taught.statement()
@@ -146,7 +146,7 @@ def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
 
 def test_what_an_uncertain_model_leaves_is_not_called_noise(model, law):
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     read = np.tile(0.9 * path, 10)
     read += 0.01 * np.random.default_rng(1).standard_normal(read.shape)
     taught = ilc_update(model, law, path, drive, read, ModelUncertainty(0.6, 0.01))
@@ -164,7 +164,7 @@ def test_an_error_within_the_noise_is_stated_as_a_bound(model, law):
         noise = 0.02 * np.random.default_rng(seed).standard_normal((2, 10 * circle().shape[1]))
         path = circle()
         read = np.tile(path, 10) + noise
-        taught = ilc_update(model, law, path, centred(law, model, path), read)
+        taught = ilc_update(model, law, path, centred(law, model, path)[0], read)
         found = re.search(r"trial below (\S+) um, noise of the mean reading (\S+) um", taught.statement())
         assert found, taught.statement()
         assert 0.0 < float(found[1]) < 5.0 * float(found[2])
@@ -203,7 +203,7 @@ def _disturbed(path, periods, hz, size_um, seed=0, noise_um=0.002):
 def test_a_disturbance_that_does_not_repeat_is_not_learnt(model, law, periods, hz):
     """Mains of 50 Hz in the readings of a path of 80 Hz was learnt into the drive."""
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     learnt = []
     for seed in range(10):
         taught = ilc_update(model, law, path, drive, _disturbed(path, periods, hz, 0.3, seed))
@@ -224,7 +224,7 @@ def _drifting(path, seed, periods=PERIODS):
 def test_a_zero_that_drifts_is_not_learnt_and_its_size_is_stated(model, law):
     """The mean over n steps of a walk has n / 3 times their variance, and that of all steps before."""
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     taught = [ilc_update(model, law, path, drive, _drifting(path, seed)) for seed in range(120)]
     assert np.mean([one.learnt for one in taught]) <= 0.1
     walk_um = STEP_UM * np.sqrt((SETTLING + PERIODS / 3.0) * path.shape[1])
@@ -236,14 +236,14 @@ def test_a_zero_that_drifts_is_not_learnt_and_its_size_is_stated(model, law):
 def test_few_periods_tell_drift_by_how_much_they_scatter_at_0_hz(model, law, periods):
     """Their order alone does not: of 8 periods, a fifth of the drifts was learnt, in each trial anew."""
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     learnt = [ilc_update(model, law, path, drive, _drifting(path, s, periods)).learnt for s in range(100)]
     assert np.mean(learnt) <= 0.12  # two outputs
 
 
 def test_the_noise_of_white_readings_is_that_of_their_mean(model, law):
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     for periods in (4, 20):
         taught = [
             ilc_update(model, law, path, drive, _disturbed(path, periods, 0.0, 0.0, seed, 0.04))
@@ -258,7 +258,7 @@ def test_the_noise_of_white_readings_is_that_of_their_mean(model, law):
 def test_alike_trials_are_rarely_called_worse(model, law, bandwidth_hz):
     """Also where nearly all noise lies at a harmonic of the path: white noise through a narrow resonance."""
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     taught = []
     for seed in range(100):
         read = _disturbed(path, PERIODS, 0.0, 0.0, seed)
@@ -287,7 +287,7 @@ def test_what_repeats_is_learnt_beside_a_disturbance(model, law):
         model,
         law,
         path,
-        centred(law, model, path),
+        centred(law, model, path)[0],
         _disturbed(path, 20, 50.0, 0.3) + np.tile(0.02 * path, 20),
     )
     assert taught.learnt >= 1
@@ -296,7 +296,7 @@ def test_what_repeats_is_learnt_beside_a_disturbance(model, law):
 
 def test_a_trial_is_worse_only_beyond_the_noise(model, law):
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
 
     def taught(share, seed):
         return ilc_update(
@@ -341,7 +341,7 @@ def test_three_trials_of_slow_circles_are_none_worse_than_the_one_before(model, 
 
 def test_half_a_period_is_refused(model, law):
     path = circle()
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     for samples in (250 * 2, 250 * 3 + 7):
         with pytest.raises(InputError, match="whole periods of 250"):
             ilc_update(model, law, path, drive, np.zeros((2, samples)))
@@ -446,7 +446,7 @@ def test_a_scenario_sweeps_over_trials(off, model, law):
     report = run(_scenario([1, 2, 3], actuator=off))
     plant = Plant(HammersteinModel.load(off), model.instruments)
     path = report.traces[0].response.reference_um[:, :250]
-    drive = centred(law, model, path)
+    drive = centred(law, model, path)[0]
     for trace in report.traces:
         np.testing.assert_array_equal(trace.response.requested_v, np.tile(drive, (1, 20)))
         read = trace.response.reading_um

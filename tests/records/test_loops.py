@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import theory
+from scipy.signal import lsim
 
 from hammerstein.commands.cli import main
 from hammerstein.records.checks import time_mistakes
@@ -15,6 +17,7 @@ from hammerstein.records.loops import (
     _path,
     loop_table,
     pair_loops,
+    ringing,
     telling_loops,
     widest_cycle,
     without_loops,
@@ -643,3 +646,15 @@ def test_inputs_that_never_move_alone_are_not_measured(monkeypatch):
     u = np.array([np.sin(2.0 * np.pi * 5.0 * t), np.sin(2.0 * np.pi * 7.0 * t)])
     monkeypatch.setattr("hammerstein.records.loops.pair_loops", lambda *_: pytest.fail("measured"))
     assert loop_table(Record(u, u, 1e-3)) == []
+
+
+def test_a_loop_that_rings_is_told_and_one_of_hysteresis_is_not():
+    """Plays in front of 190 Hz: every corner of a triangle starts ringing, whose width is by chance."""
+    turn = np.arange(3000) / 1000.0
+    u, w = 50.0 * (4.0 * np.abs((turn + 0.75) % 1.0 - 0.5) - 1.0), 2.0 * np.pi * 190.0
+    y = lsim(([w * w], [1.0, 0.04 * w, w * w]), respond(u), 5e-5 * np.arange(len(u)))[1]
+    rung, still = Record([u], [y], 5e-5), Record([u], [respond(u)], 5e-5)
+    assert ringing(rung, loop_table(rung)).startswith("y1 and u1: the output rings near 200 Hz")
+    noisy = replace(still, y_um=still.y_um + np.random.default_rng(0).normal(size=still.y_um.shape))
+    for record in (still, noisy):
+        assert ringing(record, loop_table(record)) is None

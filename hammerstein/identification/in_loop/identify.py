@@ -1,9 +1,11 @@
 """Identification of a model with hysteresis inside its loop, selected by cross-validation."""
 
+import contextlib
 import hashlib
+import itertools
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -34,9 +36,9 @@ from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.runtime.resources import one_blas_thread
 
-STATES = (2, 4, 6)
-"""Of each output, where no order is given. A model with more than it needs explains with further modes, and
-badly, that a resonance moves with the amplitude."""
+STATES = (2, 4, 8, 16)
+"""Of each output, where no order is given, until more are not better. A model with more than it needs
+explains with further modes, and badly, that a resonance moves with the amplitude."""
 FEWEST = 3
 """Experiments that this takes."""
 PATIENCE = 4
@@ -126,28 +128,26 @@ class _Work:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
         self.tell("fitting linear dynamics")
         blocks = _linear(records, self.settings.order)
-        periods = settled_periods(records, blocks[0].respond)
+        block = next(blocks)
+        periods = settled_periods(records, block.respond)
         parts = Selection.of(periods)
-        linear, block = min(((parts.of_linear(one), one) for one in blocks), key=lambda pair: pair[0].percent)
-        self.trials = [linear]
-        best = None
-        for one in blocks:
-            best = self._better(linear_start(one, parts.seen), best, parts)
+        best, self.trials = None, [parts.of_linear(block)]
+        for one in itertools.chain([block], blocks):
+            linear, before = parts.of_linear(one), best
+            if linear.percent < self.trials[0].percent:
+                self.trials[0], block = linear, one
+            best = self._better_of(before, self._of_order(one, parts))
+            if best is before or self._is_late(0.5):
+                break
         assert best is not None
         middle = float(np.median(np.abs(np.angle(np.linalg.eigvals(best.found.full())))))
-        begun = linear_start(next(one for one in blocks if len(one.A) == len(best.found.B)), parts.seen)
-        growing: tuple[Callable[[LoopParameters], LoopParameters | None], ...] = (
-            lambda found: with_ends(begun),
-            lambda found: None if found.H.size else with_ends(found),  # the linear start led elsewhere
-            partial(with_plays, periods=parts.seen),
+        best = self._grown(
+            best,
+            parts,
             partial(with_band, low=middle, high=np.pi, periods=parts.seen),
             partial(with_band, low=0.0, high=middle, periods=parts.seen),
             with_products,
         )
-        for grow in growing:
-            larger = grow(best.found)
-            if larger is not None:
-                best = self._better(larger, best, parts)
         return Found(self._all(best, periods), block, self._marked(best))
 
     def resumed(self, records: Sequence[Record]) -> Found:
@@ -160,16 +160,36 @@ class _Work:
             raise InputError(str(self.kept), what)
         self.tell("continuing the interrupted search")
         self.trials = [Trial(name, count, np.array(squares)) for name, count, squares in more["trials"]]
-        block = _linear(records, len(found.B))[0]
+        block = next(_linear(records, len(found.B)))
         best = _Best(found, self.trials[-1], more["steps"])
         return Found(self._all(best, settled_periods(records, block.respond)), block, self._marked(best))
 
-    def _better(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
-        """Search from other parameters if there is time; return the better structure."""
-        if best is not None and self._is_late(0.5):
-            return best
-        tried = self._tried(begun, best, parts)
-        self.trials.append(tried.trial)
+    def _of_order(self, block: LinearBlock, parts: Selection) -> _Best:
+        """Plays in the loop of linear dynamics of one order.
+
+        Plays that move once leave an error that states beyond the true order explain, so that orders are
+        compared with plays that move twice, and enough of them.
+        """
+        begun = linear_start(block, parts.seen)
+        return self._grown(
+            self._tried(begun, None, parts),
+            parts,
+            lambda found: with_ends(begun),
+            lambda found: None if found.H.size else with_ends(found),  # the linear start led elsewhere
+            partial(with_plays, periods=parts.seen),
+        )
+
+    def _grown(
+        self, best: _Best, parts: Selection, *growing: Callable[[LoopParameters], LoopParameters | None]
+    ) -> _Best:
+        """Search from larger structures, one after the other, while there is time."""
+        for grow in growing:
+            larger = None if self._is_late(0.5) else grow(best.found)
+            if larger is not None:
+                best = self._better_of(best, self._tried(larger, best, parts))
+        return best
+
+    def _better_of(self, best: _Best | None, tried: _Best) -> _Best:
         return tried if best is None or tried.trial.percent < GAINED * best.trial.percent else best
 
     def _tried(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
@@ -189,6 +209,7 @@ class _Work:
                 raise StopIteration
 
         _run(begun, parts.seen, self.pool, tell, Search())
+        self.trials.append(tried.trial)
         return tried
 
     def _all(self, best: _Best, periods: Sequence[SettledPeriod]) -> LoopParameters:
@@ -245,11 +266,13 @@ def _refuse(records: Sequence[Record], held: Sequence[Record]) -> None:
         raise InputError("records", "have several sample times; resample them to the same sample time")
 
 
-def _linear(records: Sequence[Record], order: int | None) -> list[LinearBlock]:
-    """State spaces of all experiments, of even orders."""
+def _linear(records: Sequence[Record], order: int | None) -> Iterator[LinearBlock]:
+    """State spaces of all experiments, of even orders, each when it is asked for."""
     orders = [order + order % 2] if order else [states * len(records[0].y_um) for states in STATES]
     response = measured_response(records)
-    return [fit_state_space(response, one) for one in orders]
+    yield fit_state_space(response, orders[0])
+    with contextlib.suppress(IdentificationError):  # the records have too few lines for more states
+        yield from (fit_state_space(response, one) for one in orders[1:])
 
 
 def _digest(records: Sequence[Record]) -> str:
