@@ -43,7 +43,7 @@ CLEAR = 3.0
 BACKWARDS_PERCENT = -5.0
 """Width from which a loop turns the other way: bent branches and noise make small negative widths."""
 SWINGS, RINGS_SHARE = 8, 0.002
-"""Crossings of its bend on each branch, and their rms in parts of the height, from which an output rings."""
+"""Crossings of its bend on each branch, from so much on either side in parts of the height: an output rings."""
 ONE_WAY = 1.05
 """Way of the voltage on a branch, in parts of its swing, up to which no minor loop is on it."""
 SETTLED_NOISE = 3.0
@@ -218,7 +218,7 @@ def ringing(record: Record, loops: Sequence[Loop]) -> str | None:
     --------
     >>> u = np.abs(np.arange(-1000, 1001) % 1000 - 500.0)
     >>> ringing(Record([u], [u + 5.0 * np.sin(u)], 1e-3), loop_table(Record([u], [u], 1e-3)))[:40]
-    'y1 and u1: the output rings near 160 Hz '
+    'y1 and u1: the output rings near 159 Hz '
     """
     for name, own in by_key(telling_loops(loops), lambda loop: loop.input).items():
         largest = max(own, key=lambda loop: loop.height_um)
@@ -226,10 +226,11 @@ def ringing(record: Record, loops: Sequence[Loop]) -> str | None:
         parts = [slice(largest.start, largest.turn + 1), slice(largest.turn, largest.stop + 1)]
         branches = [y[part] for part in parts if np.abs(np.diff(u[part])).sum() < ONE_WAY * np.ptp(u[part])]
         swings = [branch - _bend(branch) for branch in branches if len(branch) > SWINGS]
-        turns = sum(int(np.count_nonzero(np.diff(np.signbit(swing)))) for swing in swings)
-        size = max((float(swing.std()) for swing in swings), default=0.0)
         least = max(CLEAR * noise_rms(y), RINGS_SHARE * largest.height_um)
-        if branches and turns >= SWINGS * len(branches) and size > least:
+        clear = [np.signbit(swing[np.abs(swing) > least]) for swing in swings]
+        turns = sum(int(np.count_nonzero(np.diff(sign))) for sign in clear)
+        if branches and turns >= SWINGS * len(branches):
+            size = max(float(swing.std()) for swing in swings)
             hertz = 0.5 * turns / (largest.samples * record.sample_time_s)
             return (
                 f"{largest.output} and {name}: the output rings near {hertz:.3g} Hz ({size:.2g} um rms): "

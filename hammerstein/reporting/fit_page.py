@@ -58,7 +58,7 @@ CAPTIONS = {
         "Gain over frequency",
         "Gain of each pair, estimated from the records and, in the same way, from the model's "
         "predictions. Coherence: the fraction of each output's power that the inputs explain linearly. "
-        "Where it is below 0.5, noise dominates the gain, which is not drawn.",
+        "Where it is below 0.5, noise, hysteresis or a sharp resonance hide the gain, which is not drawn.",
     ),
 }
 

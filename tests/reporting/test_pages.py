@@ -266,7 +266,7 @@ def test_numbers_that_nothing_was_swept_for_are_dots_beside_each_other() -> None
         line.get_color() for line in left.lines if line.get_linewidth() == 4.0 and len(line.get_xdata())
     }
     assert len(by_colour) == 2  # a baseline has the colour of its curve, or crossing ones were mixed up
-    assert right.get_title("right") == "grey: allowed; bottom: up to 0.1"
+    assert right.get_title("right") == "grey: allowed; lowest: 0.1 or less"
 
 
 def test_a_check_without_a_common_row_has_a_page() -> None:

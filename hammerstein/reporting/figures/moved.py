@@ -131,9 +131,10 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
             if axes.get_yscale() == "linear":
                 few_ticks(axes)
             if not shown[0].x_label:
-                axes.set(xticks=[], xlim=(0.5, len(shown) + 0.5))
+                places = range(1, len(shown) + 1)
+                axes.set(xticks=places, xlim=(0.5, len(shown) + 0.5), xlabel="place in the legend")
         letter(left, 0)
-        letter(right, 1, "grey: allowed" + f"; bottom: up to {LEAST_SHARE:g}" * far)
+        letter(right, 1, "grey: allowed" + f"; lowest: {LEAST_SHARE:g} or less" * far)
         legend_above(figure, entries)
     return figure
 
@@ -175,5 +176,7 @@ def _quantity(metric: str) -> str:
     >>> _quantity("rms_true_um"), _quantity("gain")
     ('rms true [µm]', 'gain')
     """
+    if metric == "value":
+        return "value judged, in its unit"
     name, _, unit = metric.rpartition("_")
     return plain(f"{name.replace('_', ' ')} [{UNITS[unit]}]" if unit in UNITS else metric.replace("_", " "))
