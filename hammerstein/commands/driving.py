@@ -280,7 +280,7 @@ def compensate(
         return
     show(compensation_table(found))
     tell_statements(found.essentials())
-    tell(f"voltages in {out}, for the stage of model {found.model.origin}; see the notes below its columns")
+    tell(f"voltages in {out}, for the stage of model {found.model.origin}; see the notes at its end")
 
 
 def degauss(

@@ -222,7 +222,11 @@ class Prediction:
 
     def statement(self, outputs: Sequence[str]) -> str:
         """Name the contributions and their rms for each output."""
-        exact = "" if self.converter.any() else " Converter steps are not included: the model has none."
+        exact = (
+            ""
+            if self.converter.any()
+            else " Converter resolution is not included: the model file does not state it."
+        )
         each = "; ".join(self._of(o, name) for o, name in enumerate(outputs))
         return f"Expected rms error: {each}.{exact}"
 

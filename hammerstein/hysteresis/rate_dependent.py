@@ -264,8 +264,8 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         for name, several in zip(driven.inputs, driven.several_rates, strict=True):
             if not several:
                 raise IdentificationError(
-                    f"input {name} has one rate only, which cannot identify the growth of its "
-                    "thresholds; add a record at least half as fast again, or use hysteresis "
+                    f"input {name} was driven at one rate only, so the growth of its thresholds cannot be "
+                    "identified; add a record at least 1.5 times as fast, or use hysteresis "
                     "prandtl_ishlinskii"
                 )
         found = []

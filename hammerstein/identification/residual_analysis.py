@@ -178,10 +178,11 @@ def _proposal(settings: Settings, inputs: int) -> str:
     if tried := untried(settings):
         return f"Not tried: {'; or '.join(tried)}"
     axes = inputs > 1
-    fewer = f"use records with fewer effects at once (slower{', one axis at a time' * axes})"
+    fewer = f"record more slowly{', one axis at a time' * axes}"
     if settings.hysteresis == PLAYS:
-        lacks = f"plays have no saturation{', and no coupled resonances' * axes}"
-        return f"hammerstein compare tries every kind on these records; {fewer}: {lacks}"
+        both = "model neither saturation nor coupled resonances"
+        lacks = f"plays {both if axes else 'do not model saturation'}"
+        return f"hammerstein compare tries every kind on these records; or {fewer}: {lacks}"
     return fewer.capitalize() + ": the model has no coupled resonances" * axes
 
 

@@ -128,7 +128,7 @@ def axis_statements(outputs: Sequence[str], axes: Sequence[AxisFit]) -> Iterator
         if fit.lag_error_percent is not None and fit.lag_error_percent > UNSURE_LAG_PERCENT:
             error_s = 0.01 * fit.lag_error_percent * (fit.axis.lag_s or 0.0)
             known = f"{interval(fit.axis.lag_s or 0.0)} ± {interval(error_s)}"
-            none = f"the records do not tell it ({interval(fit.axis.lag_s or 0.0)} fits them)"
+            none = f"not identifiable from the records (best fit: {interval(fit.axis.lag_s or 0.0)})"
             yield f"lag of {name}: {none if fit.lag_error_percent > 100.0 else known}"
         for mode, error in zip(fit.axis.creep, fit.creep_gain_errors, strict=True):
             if abs(mode.gain) < 2.0 * error:

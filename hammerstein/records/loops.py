@@ -43,7 +43,7 @@ CLEAR = 3.0
 BACKWARDS_PERCENT = -5.0
 """Width from which a loop turns the other way: bent branches and noise make small negative widths."""
 SWINGS, RINGS_SHARE = 8, 0.002
-"""Crossings of its bend on each branch, from so much on either side in parts of the height: an output rings."""
+"""Crossings of its bend on each branch, by so much in parts of the height, from which an output rings."""
 ONE_WAY = 1.05
 """Way of the voltage on a branch, in parts of its swing, up to which no minor loop is on it."""
 SETTLED_NOISE = 3.0

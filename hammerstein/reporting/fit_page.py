@@ -45,13 +45,13 @@ CAPTIONS = {
     ),
     "residual": (
         "Prediction error",
-        "Over time: prediction error of the chosen model; where samples are many, from the lowest to the "
-        "highest of each part. Over frequency: largest amplitude in each band, for every kind of model.",
+        "Over time: prediction error of the chosen model; dense samples are drawn as a band from minimum to "
+        "maximum. Over frequency: largest amplitude in each band, for every kind of model.",
     ),
     "operators": (
         "Error against the number of operators",
         "Lines: cross-validation error against the number of operators, without fitted thresholds. For "
-        "another hysteresis they are of plays, without automatic dynamics. The grey bar and star mark this "
+        "other kinds, the lines show plays, without automatic dynamics. The grey bar and star mark this "
         "model; the legend gives its records, and whether its thresholds are fitted.",
     ),
     "response": (
@@ -296,7 +296,7 @@ def _pairs(model: HammersteinModel, fit: Fit) -> Iterator[_Pair]:
 
 
 def _thresholds(model: HammersteinModel) -> Iterator[tuple[str, float, float | None]]:
-    """Input, value and standard error of each fitted threshold [V]; None where the records do not tell it."""
+    """Input, value and standard error of each fitted threshold [V]; None where it is not identifiable."""
     block, known = model.hysteresis, model.covariance
     if not isinstance(block, PrandtlIshlinskii) or known is None:
         return

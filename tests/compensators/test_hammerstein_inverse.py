@@ -282,7 +282,7 @@ def test_the_start_hears_of_the_samples_that_it_states_and_of_no_other():
         bent = path.copy()
         bent[:, sample] += 0.1
         assert bool(np.abs(law.drive_for(bent)[:, 0] - first).max() > 0.0) is moves
-    assert f"the first {law.start_samples} samples of the path" in law.statement()
+    assert f"must know its first {law.start_samples} samples" in law.statement()
     known = path[:, : law.start_samples]
     assert law.primed(path)[0].as_dict() == law.primed(known)[0].as_dict()
 

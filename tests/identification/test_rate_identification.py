@@ -69,7 +69,7 @@ def test_a_record_that_begins_after_a_turn_needs_no_rest():
 
 def test_one_rate_cannot_tell_growth():
     block = RateDependent((RatePlays(R, [0.0, 3e-4, 3e-4, 3e-4], 400.0),), ((np.ones(4),),)).on_grid(T)
-    with pytest.raises(IdentificationError, match="has one rate only"):
+    with pytest.raises(IdentificationError, match="was driven at one rate only"):
         fit_kind("rate_dependent", records_of(block, sines((50.0,), (6,))), grids=[R])
 
 

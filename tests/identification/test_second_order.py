@@ -257,7 +257,7 @@ def test_a_lag_that_is_mostly_error_is_stated():
     said = list(axis_statements(("x",), [replace(sure, lag_error_percent=80.0)]))
     assert said[-1] == "lag of x: 10 us ± 8 us"
     said = list(axis_statements(("x",), [replace(sure, lag_error_percent=400.0)]))
-    assert said[-1] == "lag of x: the records do not tell it (10 us fits them)"
+    assert said[-1] == "lag of x: not identifiable from the records (best fit: 10 us)"
 
 
 @pytest.mark.parametrize("sensor_hz", [None, 2000.0])

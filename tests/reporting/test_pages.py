@@ -261,7 +261,8 @@ def test_numbers_that_nothing_was_swept_for_are_dots_beside_each_other() -> None
     assert right.get_yscale() == "log"
     places = [float(line.get_xdata()[0]) for line in left.lines if line.get_marker() == "o"]
     assert places == [1.0, 2.0]
-    assert not left.get_xticks().size
+    assert left.get_xticks().tolist() == [1, 2]
+    assert left.get_xlabel() == "place in the legend"
     by_colour = {
         line.get_color() for line in left.lines if line.get_linewidth() == 4.0 and len(line.get_xdata())
     }

@@ -150,8 +150,8 @@ class HammersteinInverseLaw(Law[PathState]):
             )
         if not self.delay_samples:
             parts.append(
-                f"If a path starts away from rest, its start needs the first {self.start_samples} "
-                f"samples of the path ({interval(self.start_samples * self.sample_time_s)})."
+                f"To start a path away from rest, the law must know its first {self.start_samples} samples "
+                f"({interval(self.start_samples * self.sample_time_s)})."
             )
         return " ".join(parts)
 

@@ -131,7 +131,7 @@ class LinearInverse:
             text += f", for {len(zeros)} zeros outside the unit circle (the slowest at |z| = {zeros[0]:.4g})"
         bands = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in self.large_gain_hz)
         if bands:
-            text += f"; it needs more than {LARGE_GAIN:g} times the drive of a slow path at {bands} Hz"
+            text += f"; at {bands} Hz it needs over {LARGE_GAIN:g} times the voltage of a slow path"
         return text + "."
 
 
