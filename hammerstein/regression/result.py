@@ -383,8 +383,9 @@ def _checked(
         return ScenarioCheck(outcome.name, path, error=outcome.error)
     try:
         report = outcome.report
-        found = _update(report, baseline, overwrite) if update else _compare(report, baseline)
-        now = numbers_of(outcome.report)
+        saved = Baseline.of(report).save(baseline, overwrite) if update else None
+        found = _compare(report, baseline) if saved is None else saved._asdict()
+        now = numbers_of(report)
     except HammersteinError as error:
         return ScenarioCheck(outcome.name, path, error=error)
     return ScenarioCheck(outcome.name, path, sum(map(len, now.values())), now=now, **found)
@@ -409,11 +410,6 @@ def _load(path: Path) -> Baseline:
     except InputError as error:
         advice = Mistake("", "restore the file, or write a new one with --update-baseline")
         raise InputError(str(path), [*error.mistakes, advice]) from None
-
-
-def _update(report: Report, baseline: Path, overwrite: bool) -> dict[str, Any]:
-    """Accept the numbers as a new baseline."""
-    return Baseline.of(report).save(baseline, overwrite)._asdict()
 
 
 def _orphans(paths: Sequence[Path], names: set[str], baseline_folder: Path) -> list[ScenarioCheck]:

@@ -37,13 +37,6 @@ REPORT = Owner("report", replaces=(FIGURES.name,))
 ALWAYS = ("report.html", "report.json", "report.md", "rms.csv")
 
 
-def _plots(report: Report) -> Markup:
-    from hammerstein.reporting.figures.choice import explored_figures
-    from hammerstein.reporting.interactive import interactive_of
-
-    return interactive_of(*explored_figures(report))
-
-
 @dataclass(frozen=True)
 class Writer:
     """Write each report into its folder below ``out``.
@@ -93,7 +86,12 @@ class Writer:
                 columns = {"time_s": trace.time_s} | trace.response.columns()
                 is_csv = self.traces == "csv"
                 stage.write(name, csv_text(columns) if is_csv else _matlab(columns, stage.folder / name))
-            plots = _plots(report) if self.interactive else Markup()
+            plots = Markup()
+            if self.interactive:
+                from hammerstein.reporting.figures.choice import explored_figures
+                from hammerstein.reporting.interactive import interactive_of
+
+                plots = interactive_of(*explored_figures(report))
             run_page(report, files).write(stage, "report", files, plots)
         if self.store is not None and (key := self._key(report.name, report.scenario)) is not None:
             keep(self.store, key, report, stage.folder, stage.names)

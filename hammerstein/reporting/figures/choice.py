@@ -11,7 +11,6 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import (
-    Band,
     Condition,
     Report,
     Trace,
@@ -137,13 +136,10 @@ def _sensitivity(report: Report) -> dict[str, Figure]:
     """What the spread of each compensator is due to, in the row where it is worst."""
     metric, words = banded_metric(report)
     own = [found for found in report.sensitivities if found.metric == metric]
-    worst: dict[str, Band] = {}
-    for band in report.bands:
-        before = worst.get(band.compensator)
-        if band.metric == metric and (before is None or band.p95_um > before.p95_um):
-            worst[band.compensator] = band
+    known_bands = [band for band in report.bands if band.metric == metric]
     bars, names = dict[str, tuple[Array, Array]](), list[str]()
-    for label, band in worst.items():
+    for label, bands in by_key(known_bands, lambda band: band.compensator).items():
+        band = max(bands, key=lambda band: band.p95_um)
         found = [one for one in own if one.place == band.place]
         if found:
             known = np.array([[1.0 if one.is_estimated else np.nan] for one in found])
@@ -269,11 +265,8 @@ def sweep_curves(report: Report, merit: str, over: Over) -> list[SweepCurve]:
         )
         values = _grid(report, len(places), [(row, at, getattr(row, merit)) for row, at in where])
         mark = identified.get(rows[0].compensator)
-        x = np.array(places)
-        if found:  # the line of a band is its median
-            curves.append(SweepCurve(label, x, middle, mark, (low, high, values)))
-        else:
-            curves.append(SweepCurve(label, x, values, mark))
+        line, band = (middle, (low, high, values)) if found else (values, None)  # of a band: its median
+        curves.append(SweepCurve(label, np.array(places), line, mark, band))
     return curves
 
 

@@ -21,7 +21,7 @@ from hammerstein.identification.linear.frequency_response import FrequencyRespon
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.loops import widest_cycle
 from hammerstein.records.record import Record
-from hammerstein.reporting.figures.loops import LoopRun, loops_figure
+from hammerstein.reporting.figures.loops import LoopRun, figure_of_columns
 from hammerstein.reporting.figures.style import (
     COLOURS,
     DARK,
@@ -137,10 +137,7 @@ def measured_loops(fit: Fit) -> Figure | None:
         said = said + (measured - said).mean(axis=1, keepdims=True)
         sent = record.u_v[k, part] + record.rest_v[k]
         runs.append(LoopRun(label, k, sent, measured, ((KIND_NAMES[fit.kind], said),)))
-    if not runs:
-        return None
-    inputs = [axis_label(name, "V") for name in fit.inputs]
-    return loops_figure(runs, inputs, [axis_label(name, "µm") for name in fit.outputs])
+    return figure_of_columns(runs, fit.inputs, fit.outputs)
 
 
 def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:

@@ -236,14 +236,15 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
                     cycle = widest[1]
                     label = AT_ONCE + (f", {name}" if len(records) > 1 else "")
                     runs.append(LoopRun(label, k, record.u_v[k, cycle], record.y_um[:, cycle]))
-    if not runs:
-        return None
-    first = records[0]
-    return loops_figure(
-        runs,
-        [axis_label(name, "V") for name in first.inputs],
-        [axis_label(name, "µm") for name in first.outputs],
-    )
+    return figure_of_columns(runs, records[0].inputs, records[0].outputs)
+
+
+def figure_of_columns(
+    runs: Sequence[LoopRun], inputs: Sequence[str], outputs: Sequence[str]
+) -> Figure | None:
+    """Loops of columns of records, by the names of these; None where there are none."""
+    units = [axis_label(name, "V") for name in inputs], [axis_label(name, "µm") for name in outputs]
+    return loops_figure(runs, *units) if runs else None
 
 
 def file_labels(sources: Sequence[str]) -> list[str]:

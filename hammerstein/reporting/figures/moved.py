@@ -89,17 +89,11 @@ def courses_of(
         x = [float(dict(key).get(swept, 0.0)) if swept else float(n) for n, key in enumerate(keys, start=1)]
         order = np.argsort(x, kind="stable")
         values = [(accepted[keys[i]][metric], now[keys[i]][metric]) for i in order]
-        found.append(
-            SweptNumber(
-                _words([item for item in rest if item not in same]),
-                SWEPT[swept] if swept else "",
-                np.array(x)[order],
-                np.array([before for before, _ in values]),
-                np.array([after for _, after in values]),
-                np.array([deviation(metric, after, before) for before, after in values]),
-                np.array([limit(before, tolerance) for before, _ in values]),
-            )
-        )
+        moved = [deviation(metric, after, before) for before, after in values]
+        allowed = [limit(before, tolerance) for before, _ in values]
+        label, x_label = _words([item for item in rest if item not in same]), SWEPT[swept] if swept else ""
+        each = (np.array(x)[order], *np.array(values, float).T, np.array(moved), np.array(allowed))
+        found.append(SweptNumber(label, x_label, *each))
     return sorted(found, key=lambda course: -course.excess)
 
 
