@@ -73,24 +73,25 @@ def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
     Raises InputError where the file cannot be read.
     """
     for name, variable in variables_of(path).items():
-        try:
-            shape = np.shape(variable.load())
-        except InputError as error:
-            yield name or "array", error.mistakes[0].what
-            continue
-        except Exception as error:  # as above
-            yield name or "array", f"cannot be read ({_reason(error)})"
-            continue
-        if not shape:
-            yield name or "array", "a single number"
-            continue
-        longest = int(np.argmax(shape))
-        sizes = [n for axis, n in enumerate(shape) if axis != longest]
-        limits = ":".join(f"(1 to {n})" for n in sizes)
-        column = f"{name}:{limits}" if name and limits else limits or name
-        unit = f" in {variable.unit}" if variable.unit else ""
-        columns = f"; its columns are {column}" if column else ""
-        yield name or "array", f"{shape[longest]} samples{unit}{columns}"
+        yield name or "array", _described(name, variable)
+
+
+def _described(name: str, variable: Variable) -> str:
+    """How long an array is and how its columns are named, or why nobody knows."""
+    try:
+        shape = np.shape(variable.load())
+    except InputError as error:
+        return error.mistakes[0].what
+    except Exception as error:  # as above
+        return f"cannot be read ({_reason(error)})"
+    if not shape:
+        return "a single number"
+    longest = int(np.argmax(shape))
+    limits = ":".join(f"(1 to {n})" for axis, n in enumerate(shape) if axis != longest)
+    column = f"{name}:{limits}" if name and limits else limits or name
+    unit = f" in {variable.unit}" if variable.unit else ""
+    columns = f"; its columns are {column}" if column else ""
+    return f"{shape[longest]} samples{unit}{columns}"
 
 
 def whole_array(path: Path, variable: str) -> Array:

@@ -310,10 +310,6 @@ def tdms_channels(path: Path) -> Variables:
             for channel in group.channels()
             if channel.dtype is not None and np.dtype(channel.dtype).kind in "biuf"
         }
-        places = {
-            name: (channel.group_name, channel.name, stated_unit(channel.properties))
-            for name, channel in channels.items()
-        }
 
     def load(group: str, name: str) -> Any:
         with TdmsFile.open(path) as file:
@@ -322,11 +318,13 @@ def tdms_channels(path: Path) -> Variables:
             return channel[:]
 
     found = {
-        name: Variable(partial(load, group, channel), unit) for name, (group, channel, unit) in places.items()
+        name: Variable(partial(load, channel.group_name, channel.name), stated_unit(channel.properties))
+        for name, channel in channels.items()
     }
     waves = {(channel.properties.get("wf_increment"), len(channel)) for channel in channels.values()}
     step, samples = waves.pop() if len(waves) == 1 else (None, 0)
-    kinds = {unit.kind for name, place in places.items() if (unit := unit_of(place[2]) or unit_in(name))}
-    if step and "time" not in kinds and {place[1].lower() for place in places.values()}.isdisjoint(OF_TIME):
+    kinds = {unit.kind for name, one in found.items() if (unit := unit_of(one.unit) or unit_in(name))}
+    names = {channel.name.lower() for channel in channels.values()}
+    if step and "time" not in kinds and names.isdisjoint(OF_TIME):
         found["time_s"] = Variable(lambda: np.arange(samples) * step, "s")
     return found

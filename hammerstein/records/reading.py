@@ -84,10 +84,7 @@ def read_records(
             _refuse_other_time(path, rate_hz, wanted)
         return record
 
-    records = all_of(read, paths, "records")
-    if all_driven:
-        _refuse_never_driven(records)
-    return tuple(records)
+    return _checked(all_of(read, paths, "records"), all_driven)
 
 
 def _chosen(
@@ -217,8 +214,10 @@ def _sample_time_of(columns: Columns) -> tuple[list[Mistake], float]:
     return [], step
 
 
-def _refuse_never_driven(records: Sequence[Record]) -> None:
+def _checked(records: Sequence[Record], all_driven: bool) -> tuple[Record, ...]:
     """An axis may rest in one experiment, but not in all of them; nor may its unit be impossible."""
+    if not all_driven:
+        return tuple(records)
     source = records[0].source if len(records) == 1 else f"{len(records)} records"
     groups = (
         ("input", records[0].inputs, [record.u_v for record in records]),
@@ -232,6 +231,7 @@ def _refuse_never_driven(records: Sequence[Record]) -> None:
             elif wrong := unit_mistake(where(name), max(float(np.ptp(value[k])) for value in values), kind):
                 mistakes.append(wrong)
     refuse(source, mistakes)
+    return tuple(records)
 
 
 def read_paired_records(
@@ -286,10 +286,7 @@ def read_paired_records(
             period_samples=period,
         )
 
-    records = all_of(experiment, range(len(u)), "records")
-    if all_driven:
-        _refuse_never_driven(records)
-    return tuple(records)
+    return _checked(all_of(experiment, range(len(u)), "records"), all_driven)
 
 
 def _by_experiment(array: Array, axes: Sequence[str], source: str) -> Array:
