@@ -109,12 +109,10 @@ def _chosen(
     _, scenario = scenario_of(source)
     swept = {key: (value,) for key, value in values.items()}
     if scenario.sweep.combine == "zip":  # a value brings those of the other keys with it
-        for found in scenario.sweep.combinations():
-            if all(found.get(key) == value for key, value in values.items()):
-                swept = {key: (value,) for key, value in found.items()}
-                break
-        else:
+        found = next((one for one in scenario.sweep.combinations() if values.items() <= one.items()), None)
+        if found is None:
             raise InputError("simulate", f"the scenario has no case with {dict(values)}")
+        swept = {key: (value,) for key, value in found.items()}
     chosen = scenario.model_copy(update={"sweep": scenario.sweep.model_copy(update=swept)})
     Plan(tuple(identification_parts(chosen, plant_of(chosen)))).refuse_too_large()
     setup = set_up(chosen)

@@ -291,10 +291,8 @@ def loaded(path: str) -> HammersteinModel:
     return _model_of(model_text(path), path)
 
 
-@lru_cache(maxsize=16)
-def _model_of(text: str, source: str) -> HammersteinModel:
-    """Model from its text: the runs of a study read the same file thousands of times."""
-    return HammersteinModel.from_json(text, source)
+_model_of = lru_cache(maxsize=16)(HammersteinModel.from_json)
+"""Model from its text: the runs of a study read the same file thousands of times."""
 
 
 def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant) -> AnyLaw:

@@ -267,8 +267,7 @@ class Plant:
 
     def rest(self, seed: list[int]) -> PlantState:
         """State of an actuator that was never driven, and of a sensor at the start of its noise."""
-        memory, linear = self._at_rest
-        return PlantState(memory, linear, np.random.default_rng(seed))
+        return PlantState(*self._at_rest, np.random.default_rng(seed))
 
     @cached_property
     def _at_rest(self) -> tuple[Any, Array]:
