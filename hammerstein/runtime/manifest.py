@@ -245,7 +245,8 @@ def recover(folder: Path, room: Path) -> tuple[Path, ...]:
     if (room / JOURNAL).exists():
         plan = _journal(room)
         _refuse_links(folder, room, plan)
-        if plan.coming and all(_is_there(folder, room, *item) for item in plan.coming.items()):
+        there = [any(is_own_file(at, *new) for at in (room / NEW, folder)) for new in plan.coming.items()]
+        if there and all(there):  # each new file is ready, or in its place already
             kept = _carry_out(folder, room, plan)
         else:
             _undo(folder, room, plan)
@@ -278,11 +279,6 @@ def _refuse_links(folder: Path, room: Path, plan: Exchange) -> None:
         for place in (Path(), Path(room.name, NEW), Path(room.name, OLD)):
             if through_a_link(folder, (place / parent).as_posix()):
                 raise InputError(str(folder / place / parent), f"is reached through a link; remove {room}")
-
-
-def _is_there(folder: Path, room: Path, name: str, digest: str) -> bool:
-    """Whether a new file is ready, or in its place already."""
-    return any(is_own_file(place, name, digest) for place in (room / NEW, folder))
 
 
 def _carry_out(folder: Path, room: Path, plan: Exchange) -> tuple[Path, ...]:

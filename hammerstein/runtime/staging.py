@@ -86,13 +86,11 @@ def locked(
     try:
         yield
     finally:
-        if sys.platform != "win32":  # which does not remove what is open
-            with contextlib.suppress(OSError):
-                os.unlink(path)
-        lock.release()
-        if sys.platform == "win32":
-            with contextlib.suppress(OSError):
-                os.unlink(path)
+        if sys.platform == "win32":  # which does not remove what is open
+            lock.release()
+        with contextlib.suppress(OSError):
+            os.unlink(path)
+        lock.release()  # the second time nothing is held
 
 
 ROOM = f"{RESERVED}-new"
