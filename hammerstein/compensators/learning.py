@@ -69,11 +69,9 @@ class ModelUncertainty:
     @staticmethod
     def _gains(dynamics: AxesDynamics, frequency_hz: Array, sample_time_s: float, factor: float) -> Complex:
         """Response (frequency, output) of every axis with its resonance multiplied by a factor."""
-        moved = (
-            {"resonance_hz": factor * axis.resonance_hz} if axis.resonance_hz else {}
-            for axis in dynamics.axes
-        )
-        axes = tuple(axis.model_copy(update=own) for axis, own in zip(dynamics.axes, moved, strict=True))
+        resonances = [axis.resonance_hz and factor * axis.resonance_hz for axis in dynamics.axes]
+        each = zip(dynamics.axes, resonances, strict=True)
+        axes = tuple(axis.model_copy(update={"resonance_hz": hz}) for axis, hz in each)
         return _diagonal(discretise(dynamics.model_copy(update={"axes": axes}), sample_time_s), frequency_hz)
 
     @staticmethod

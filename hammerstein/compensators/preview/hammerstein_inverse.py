@@ -172,11 +172,8 @@ class HammersteinInverseLaw(Law[PathState]):
         modes = start.modes.copy()
         v = self._from_rest(self.linear.run(known, modes))
         drive, exact, away = self.exact.solve(v, start.exact, start.away, self.recovery)
-        kept = (
-            raw[:, raw.shape[1] - start.raw.shape[1] :],
-            known[:, known.shape[1] - start.filtered.shape[1] :],
-        )
-        return drive, PathState(kept[0].copy(), kept[1].copy(), modes, away, exact)
+        samples = reference_um.shape[1]
+        return drive, PathState(raw[:, samples:].copy(), known[:, samples:].copy(), modes, away, exact)
 
     @cached_property
     def _compiled_step(self) -> Any:
