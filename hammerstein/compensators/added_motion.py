@@ -137,12 +137,9 @@ def approached(reference_um: Array, distance_um: Sequence[float], sample_time_s:
         what = f"needs a distance other than 0 for all outputs, or one for each of {p}"
         raise InputError("--approach-side", what)
     distance = np.broadcast_to(distance, p)
-    rows, counts = [], []
-    for row, away in zip(reference_um, distance.tolist(), strict=True):
-        bent, *count = _of_output(row, away, sample_time_s)
-        rows.append(bent)
-        counts.append(count)
-    detours, right, short = zip(*counts, strict=True)
+    each = zip(reference_um, distance.tolist(), strict=True)
+    found = (_of_output(row, away, sample_time_s) for row, away in each)
+    rows, detours, right, short = zip(*found, strict=True)
     if not (any(detours) or any(right)):
         what = f"has no effect: no output of the path is constant for {SHORTEST_HOLD_S:g} s"
         raise InputError("--approach-side", what)

@@ -158,15 +158,13 @@ class DecoupledInverseLaw(Law[InverseState]):
         require_square(hysteresis.n_inputs, hysteresis.n_outputs, "decoupled_inverse")
         m = self.n_inputs = self.n_outputs = hysteresis.n_inputs
         self.range = DriveRange.of(range_v, model)
-        inverses = []
-        self.jump_v = np.zeros(m)
-        for k in range(m):
-            direct = hysteresis.pairs[k][k]
-            smallest = direct.thresholds_v[:1].sum()
-            shifted = Pair(direct.thresholds_v - smallest, direct.weights_um_per_v)
-            inverses.append(inverse_pair(shifted, f"Direct transfer {model.outputs[k]}"))
-            self.jump_v[k] = smallest
-        self.inverse = _alone(inverses)
+        own = [hysteresis.pairs[k][k] for k in range(m)]
+        self.jump_v = np.array([direct.thresholds_v[:1].sum() for direct in own])
+        shifted = [
+            Pair(d.thresholds_v - r, d.weights_um_per_v) for d, r in zip(own, self.jump_v, strict=True)
+        ]
+        names = [f"Direct transfer {name}" for name in model.outputs]
+        self.inverse = _alone(list(map(inverse_pair, shifted, names)))
         self._start, self.origin_um = self._at_start(hysteresis)
         limits, b = np.stack([self.jump_v, *self.range.counted]), self.inverse.bank
         plays = (b.r, b.guide, b.scale, b.n, b.lines, b.w)

@@ -56,9 +56,7 @@ def respond_exact(reference, virtual, a, b, gain, x, w, here, first, stop, drive
     """
     p = reference.shape[0]
     new = np.empty(x.shape[0])
-    away = False
-    for s in range(x.shape[0]):
-        away = away or x[s] != 0.0
+    away = np.any(x)
     ready = resume(w, here)
     for t in range(first, stop):
         ask(reference, t, gain, x, away, here)
@@ -303,10 +301,7 @@ def _fix_one(virtual, w, here):  # type: ignore[no-untyped-def]
     for o in range(m):
         gain = here[worst].gain[o]
         size = gain + (1e12 if o >= m - virtual and gain > 0.0 else 0.0)
-        taken = False
-        for k in range(m):
-            taken = taken or here[k].fixed == o
-        if not taken and size > most:
+        if size > most and not np.any(here["fixed"] == o):
             row, most = o, size
     here[worst].fixed = row
     low, high = _ends(w, here, worst)

@@ -34,10 +34,8 @@ def respond_exact_preisach(  # type: ignore[no-untyped-def]
     rest, low, high, size, cells, node, _ = plane
     (count, x, tip, last), sent = memory, w["x"][:, 0].copy()
     m, p = drive.shape[0], reference.shape[0]
-    new, off = np.empty(away.shape[0]), False
+    new, off = np.empty(away.shape[0]), np.any(away)
     value, slope, ends = np.empty(p), np.empty(p), np.empty((m, 2))
-    for s in range(away.shape[0]):
-        off = off or away[s] != 0.0
     for t in range(first, stop):
         ask(reference, t, gain, away, off, here)
         for most in (1, w.shape[1]):
@@ -147,11 +145,9 @@ def respond_exact_rate(reference, a, b, gain, x, w, here, grid, bank, memory, fi
     """
     (sample_time, pole), (n, r, grow, lam, weights), (plays, last, rate) = grid, bank, memory
     m, p = drive.shape[0], reference.shape[0]
-    new, away = np.empty(x.shape[0]), False
+    new, away = np.empty(x.shape[0]), np.any(x)
     reach, (events, bend) = np.zeros(r.shape), np.empty((2, 2 * r.shape[1]))
     owner, order = np.empty(2 * r.shape[1], np.int64), np.arange(2 * r.shape[1])
-    for s in range(x.shape[0]):
-        away = away or x[s] != 0.0
     for t in range(first, stop):
         for k in range(m):
             next_rate(k, sample_time, pole, last, rate)
