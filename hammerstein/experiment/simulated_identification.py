@@ -22,7 +22,7 @@ from hammerstein.blocks import Learner
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics.arrays import settled_cycle
@@ -188,11 +188,8 @@ def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> Hammer
     """Equations 14-17 on the settled loop of each input (steps 1-4 of section 3.3)."""
     setup = _at_sample_time(plant, spec.sample_time_s)
     drive = _Excursion.of(setup, spec.amplitude_v)
-    columns: list[list[Pair]] = []
-    for k in range(plant.model.hysteresis.n_inputs):
-        u, y = _settled_loop(setup, spec, drive, k, seeds)
-        columns.append(closed_form(u, y, spec.operators))
-    rows = tuple(tuple(column[o] for column in columns) for o in range(plant.model.hysteresis.n_outputs))
+    loops = (_settled_loop(setup, spec, drive, k, seeds) for k in range(plant.model.hysteresis.n_inputs))
+    rows = tuple(zip(*(closed_form(u, y, spec.operators) for u, y in loops), strict=True))
     return HammersteinModel(
         name=f"closed form at {spec.frequency_hz:g} Hz",
         hysteresis=PrandtlIshlinskii(rows),

@@ -168,12 +168,9 @@ def _reach(law: Law[Any], model: HammersteinModel) -> tuple[Array, Array]:
     """Middle and half width (p,) of where the actuator can go, counted from its start [um]."""
     limits = law.range
     ends = np.stack([limits.start_v, limits.low_v, limits.high_v], axis=1)
-    rows = []
-    for k in range(len(ends)):
-        drive = np.repeat(limits.start_v[:, None], 3, axis=1)
-        drive[k] = ends[k]
-        rows.append(model.static_response(drive)[0])
-    moved = np.array(rows)[:, :, 1:] - np.array(rows)[:, :, :1]
+    drives = np.where(np.eye(len(ends), dtype=bool)[:, :, None], ends, limits.start_v[:, None])
+    rows = np.array([model.static_response(drive)[0] for drive in drives])
+    moved = rows[:, :, 1:] - rows[:, :, :1]
     low, high = moved.min(axis=2).min(axis=0), moved.max(axis=2).max(axis=0)
     return 0.5 * (low + high), 0.5 * (high - low)
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import NamedTuple
 
 from hammerstein.experiment.report import (
@@ -219,11 +220,8 @@ def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
 
 def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
     """``A from 10 Hz to 40 Hz and B at 50 Hz``; who has most of them where that gets long."""
-    groups: list[tuple[str, list[str]]] = []
-    for name, label in zip(names, winners, strict=True):
-        if not groups or groups[-1][0] != label:
-            groups.append((label, []))
-        groups[-1][1].append(name)
+    pairs = groupby(zip(winners, names, strict=True), key=lambda pair: pair[0])
+    groups = [(label, [name for _, name in own]) for label, own in pairs]
     if len(groups) == 1:
         return f"{quote(winners[0])} throughout"
     if len(groups) > MOST_RANGES:

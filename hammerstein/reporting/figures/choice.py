@@ -295,9 +295,8 @@ def _operators(report: Report) -> dict[str, Figure]:
     if len(numbers) <= MOST_LOOPS or len(numbers) < len(models):
         return {}
     curves = []
-    runs = dict.fromkeys((row.frequency_hz, row.amplitude_v) for row in report.rows)
-    for frequency_hz, amplitude_v in runs:
-        rows = [r for r in report.rows if (r.frequency_hz, r.amplitude_v) == (frequency_hz, amplitude_v)]
+    runs = by_key(report.rows, lambda row: (row.frequency_hz, row.amplitude_v))
+    for (frequency_hz, amplitude_v), rows in runs.items():
         found = [(row, numbers.index(models[row.compensator]), row.rms_um) for row in rows]
         label = f"{frequency_hz:g} Hz, {amplitude_v or 0:g} V"
         curves.append(SweepCurve(label, np.array(numbers, float), _grid(report, len(numbers), found)))
