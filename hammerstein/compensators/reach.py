@@ -40,24 +40,18 @@ class Reach:
 
     def statement(self, names: Sequence[str]) -> str:
         """Say the reach of each output and of all together."""
-        alone, together = (
-            ", ".join(
-                f"{name} {low:.4g} to {high:.4g}"
-                for name, (low, high) in zip(names, _rounded(ends), strict=True)
-            )
-            for ends in (self.alone_um, self.together_um)
-        )
+
+        def told(ends_um: Array) -> str:
+            each = zip(names, np.where(np.abs(ends_um) < MISSED_UM, 0.0, ends_um), strict=True)  # 0: rounding
+            return ", ".join(f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in each)
+
+        alone = told(self.alone_um)
         if len(names) == 1:
             return f"Reach of slow paths: {alone} um."
         return (
             f"Reach of slow paths, one axis with the others in their middle: {alone} um; all axes together: "
-            f"{together} um."
+            f"{told(self.together_um)} um."
         )
-
-
-def _rounded(ends_um: Array) -> Array:
-    """Ends (p, 2) without what rounding leaves of 0."""
-    return np.where(np.abs(ends_um) < MISSED_UM, 0.0, ends_um)
 
 
 def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = False) -> Reach:

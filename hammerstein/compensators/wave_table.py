@@ -99,19 +99,15 @@ class WaveTable:
 
     def text(self) -> str:
         """Text of the file."""
-        head = [*self.statements()]
-        if self.device == "csv":
-            low, high = self.numbers().min(), self.numbers().max()
-            head.append(
-                f"points {self.points}, rate {1.0 / self.point_s:.10g} Hz, low {low:g}, high {high:g}"
-            )
-        lines = [f"# {clean(' '.join(words.split()))}" for words in head]
-        separator = "\t" if self.device == "pi" else ","
+        said, numbers, header = self.statements(), self.numbers(), list[str]()
         if self.device == "csv":  # the header first, as in a drive file
-            lines.insert(0, separator.join(column("drive", name, "v") for name in self.cycle.model.inputs))
-        digits = DEVICES[self.device].digits
-        rows = (separator.join(f"{value:.{digits}f}" for value in row) for row in self.numbers().T)
-        return "\n".join([*lines, *rows]) + "\n"
+            header = [",".join(column("drive", name, "v") for name in self.cycle.model.inputs)]
+            rate, low, high = 1.0 / self.point_s, numbers.min(), numbers.max()
+            said.append(f"points {self.points}, rate {rate:.10g} Hz, low {low:g}, high {high:g}")
+        lines = (f"# {clean(' '.join(words.split()))}" for words in said)
+        separator, digits = "\t" if self.device == "pi" else ",", DEVICES[self.device].digits
+        rows = (separator.join(f"{value:.{digits}f}" for value in row) for row in numbers.T)
+        return "\n".join([*header, *lines, *rows]) + "\n"
 
 
 def wave_table(

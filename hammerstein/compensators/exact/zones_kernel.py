@@ -44,8 +44,6 @@ def respond_exact_preisach(  # type: ignore[no-untyped-def]
             walk(False, 0, w, here)
             if _holds(here, ends):
                 break
-        for o in range(p):
-            off = off or (here[o].missed != 0.0 and away.shape[0] > 0)
         for k in range(m):
             drive[k, t] = sent[k] = here[k].u
             top, z = count[k] - 1, min(max(sent[k] + rest[k], low[k]), high[k])
@@ -53,8 +51,7 @@ def respond_exact_preisach(  # type: ignore[no-untyped-def]
                 i, rises = level_below(last[k], low[k], size[k], cells[k]), top % 2 == 0
                 begin = branch(k, x[k, top], tip[k, top], rises, i, low, size, cells, node, value, slope)
                 count[k] = moved(k, z, top, begin, value, slope, x, tip, last) + 1
-        if off:
-            off = drift(reference, t, a, b, away, new, w, here)
+        off = drift(reference, t, a, b, away, new, off, here)
 
 
 @helper(error_model="numpy")
@@ -144,7 +141,7 @@ def respond_exact_rate(reference, a, b, gain, x, w, here, grid, bank, memory, fi
     grid : sample time and poles; bank : n, r, b, lam and w of the plays; memory : plays, last voltages, rates
     """
     (sample_time, pole), (n, r, grow, lam, weights), (plays, last, rate) = grid, bank, memory
-    m, p = drive.shape[0], reference.shape[0]
+    m = drive.shape[0]
     new, away = np.empty(x.shape[0]), np.any(x)
     reach, (events, bend) = np.zeros(r.shape), np.empty((2, 2 * r.shape[1]))
     owner, order = np.empty(2 * r.shape[1], np.int64), np.arange(2 * r.shape[1])
@@ -157,16 +154,13 @@ def respond_exact_rate(reference, a, b, gain, x, w, here, grid, bank, memory, fi
             here[k].wanted = w[k, 0].x
         ask(reference, t, gain, x, away, here)
         walk(False, 0, w, here)
-        for o in range(p):
-            away = away or (here[o].missed != 0.0 and x.shape[0] > 0)
         for k in range(m):
             u = here[k].u
             drive[k, t] = u
             for i in range(n[k]):
                 plays[k, i] = max(u - reach[k, i], min(u + reach[k, i], plays[k, i]))
             last[k, 1], last[k, 0] = last[k, 0], u
-        if away:
-            away = drift(reference, t, a, b, x, new, w, here)
+        away = drift(reference, t, a, b, x, new, away, here)
 
 
 @helper(error_model="numpy")
