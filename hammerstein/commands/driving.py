@@ -9,7 +9,7 @@ import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from hammerstein.runtime.manifest import Owner
 
 
+Asked = tuple[str, Path, str, dict[str, Any]]
+"""Model, path, law and options."""
 RangeWords = Annotated[
     str | None,
     typer.Option("--range", metavar="LOW,HIGH", help="Allowed voltages; default: recorded range."),
@@ -190,6 +192,110 @@ def volts(option: str, words: str | None) -> tuple[float, ...] | None:
         raise InputError(option, f"{words!r} is not a list of numbers with commas between them") from None
 
 
+@dataclass(frozen=True)
+class TableRequest:
+    """What a person asks of a wave table; no device: the period as a drive file."""
+
+    table: Annotated[
+        str | None, typer.Option(metavar="pi|nv200|csv", help="Write this period as a wave table.")
+    ] = None
+    table_scale: Annotated[
+        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the unit of the table.")
+    ] = None
+    table_points: Annotated[
+        int | None, typer.Option(min=2, help="Largest number of points of the table.")
+    ] = None
+
+    def factors(self) -> tuple[float, float] | None:
+        """Factor and offset from volts to the numbers of the table, if they are given.
+
+        Raises InputError for words that are none.
+        """
+        from hammerstein.compensators.wave_table import DEVICES
+
+        if self.table is None and (self.table_scale is not None or self.table_points is not None):
+            raise InputError("--table-scale, --table-points", "need --table")
+        if self.table is not None and self.table not in DEVICES:
+            raise InputError("--table", f"{self.table!r} is not one of {', '.join(DEVICES)}")
+        factors = volts("--table-scale", self.table_scale)
+        if factors is None:
+            return None
+        if len(factors) > 2:
+            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
+        if factors[0] == 0.0 or not all(map(math.isfinite, factors)):
+            raise InputError(
+                "--table-scale", "must be FACTOR or FACTOR,OFFSET, finite, with a factor other than 0"
+            )
+        return factors[0], factors[1] if len(factors) == 2 else 0.0
+
+    def owner(self) -> Owner:
+        """Who writes the file."""
+        from hammerstein.compensators.drive_file import DRIVE
+        from hammerstein.compensators.wave_table import WAVE_TABLE
+
+        return DRIVE if self.table is None else WAVE_TABLE
+
+    def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
+        """What must be known of a period, its errors [um], and the text of its file."""
+        from hammerstein.compensators.wave_table import wave_table
+        from hammerstein.metrics import rms
+
+        if self.table is None:
+            return found.statements(), [rms(found.error_um)], found.to_csv()
+        table = wave_table(found, self.table, self.factors(), self.table_points)
+        return table.statements(), list(table.errors_um), table.text()
+
+
+@dataclass(frozen=True)
+class Trials:
+    """The trial that is learnt from, the one before it, and how sure the model is."""
+
+    learn: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="DRIVE MEASURED", help="Drive and measurement of a trial; writes the next drive."
+        ),
+    ] = None
+    before: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="DRIVE MEASURED",
+            help="The previous trial: its drive is kept if the new trial is worse.",
+        ),
+    ] = None
+    uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            metavar="W,R",
+            help="Relative standard deviations of weights and resonances for --learn; default: 0.05,0.01.",
+        ),
+    ] = None
+
+    def refuse_lone(self) -> None:
+        """Raise InputError for what belongs to a trial, where there is none."""
+        if self.uncertainty is not None and self.learn is None:
+            raise InputError("--uncertainty", "applies to --learn; give --learn DRIVE MEASURED too")
+        if self.before is not None and self.learn is None:
+            raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
+
+    def period(self, asked: Asked, terms: Terms, onlooker: Onlooker) -> tuple[Cycle, IlcUpdate | None]:
+        """Period of a path, and what was learnt for it from the trial, if there is one."""
+        from hammerstein.compensators.cycle import cycle_of
+
+        if self.learn is None:
+            return cycle_of(*asked, terms, onlooker), None
+        from hammerstein.compensators.learning import ModelUncertainty, learn_from_files
+
+        words = self.uncertainty or "0.05,0.01"
+        deviations = volts("--uncertainty", words) or ()
+        if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
+            raise InputError(
+                "--uncertainty", f"{words!r} must be two relative standard deviations, such as 0.05,0.01"
+            )
+        known = ModelUncertainty(*deviations)
+        return learn_from_files(*asked, self.learn, known, terms, onlooker, self.before)
+
+
 @grouped
 def compensate(
     *,
@@ -210,35 +316,8 @@ def compensate(
         bool,
         typer.Option("--cycle", help="The path is one period; write one settled period."),
     ] = False,
-    table: Annotated[
-        str | None, typer.Option(metavar="pi|nv200|csv", help="Write this period as a wave table.")
-    ] = None,
-    table_scale: Annotated[
-        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the unit of the table.")
-    ] = None,
-    table_points: Annotated[
-        int | None, typer.Option(min=2, help="Largest number of points of the table.")
-    ] = None,
-    learn: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            metavar="DRIVE MEASURED", help="Drive and measurement of a trial; writes the next drive."
-        ),
-    ] = None,
-    before: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            metavar="DRIVE MEASURED",
-            help="The previous trial: its drive is kept if the new trial is worse.",
-        ),
-    ] = None,
-    uncertainty: Annotated[
-        str | None,
-        typer.Option(
-            metavar="W,R",
-            help="Relative standard deviations of weights and resonances for --learn; default: 0.05,0.01.",
-        ),
-    ] = None,
+    wanted: TableRequest,
+    trials: Trials,
     reached: Reached,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -248,18 +327,14 @@ def compensate(
     The predicted response is written beside them.
     """
     from hammerstein.commands.terminal_tables import compensation_table
-    from hammerstein.compensators.cycle import cycle_of
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
 
-    if uncertainty is not None and learn is None:
-        raise InputError("--uncertainty", "applies to --learn; give --learn DRIVE MEASURED too")
-    if before is not None and learn is None:
-        raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
+    trials.refuse_lone()
     options = words.options()
-    wanted = TableRequest.of(table, table_scale, table_points)
-    read = [Path(model), reference, *(learn or ()), *(before or ())]
+    wanted.factors()  # words that are none are refused before anything is computed
+    read = [Path(model), reference, *(trials.learn or ()), *(trials.before or ())]
     refuse_output(out, read, wanted.owner(), overwrite)
-    periodic = cycle or table is not None or learn is not None
+    periodic = cycle or wanted.table is not None or trials.learn is not None
     run_up = out.with_name(f"{out.stem}.run_up.csv")
     if periodic:
         refuse_output(run_up, read, DRIVE, overwrite)
@@ -267,10 +342,7 @@ def compensate(
     with told_by_options("compensate", words.own), watched() as onlooker:
         if periodic:
             reached.refuse_with_period()
-            if learn is None:
-                period, taught = cycle_of(*asked, terms, onlooker), None
-            else:
-                period, taught = _learnt(asked, learn, uncertainty or "0.05,0.01", terms, onlooker, before)
+            period, taught = trials.period(asked, terms, onlooker)
             _write_period((out, run_up), period, taught, wanted, overwrite, as_json)
             return
         found = compensated(*asked, terms, onlooker)
@@ -416,54 +488,6 @@ def export(
     tell(f"{', '.join(written.files)} in {out}; run make check there to replay golden.csv")
 
 
-class TableRequest(NamedTuple):
-    """What a person asks of a wave table; no device: the period as a drive file.
-
-    factors : factor and offset from volts to the numbers of the table, if they are given
-    """
-
-    device: str | None
-    factors: tuple[float, float] | None
-    points: int | None
-
-    @classmethod
-    def of(cls, device: str | None, scale: str | None, points: int | None) -> TableRequest:
-        """Raise InputError for words that are none, before anything is computed."""
-        from hammerstein.compensators.wave_table import DEVICES
-
-        if device is None and (scale is not None or points is not None):
-            raise InputError("--table-scale, --table-points", "need --table")
-        if device is not None and device not in DEVICES:
-            raise InputError("--table", f"{device!r} is not one of {', '.join(DEVICES)}")
-        factors = volts("--table-scale", scale)
-        if factors is None:
-            return cls(device, None, points)
-        if len(factors) > 2:
-            raise InputError("--table-scale", "must be FACTOR or FACTOR,OFFSET")
-        if factors[0] == 0.0 or not all(map(math.isfinite, factors)):
-            raise InputError(
-                "--table-scale", "must be FACTOR or FACTOR,OFFSET, finite, with a factor other than 0"
-            )
-        return cls(device, (factors[0], factors[1] if len(factors) == 2 else 0.0), points)
-
-    def owner(self) -> Owner:
-        """Who writes the file."""
-        from hammerstein.compensators.drive_file import DRIVE
-        from hammerstein.compensators.wave_table import WAVE_TABLE
-
-        return DRIVE if self.device is None else WAVE_TABLE
-
-    def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
-        """What must be known of a period, its errors [um], and the text of its file."""
-        from hammerstein.compensators.wave_table import wave_table
-        from hammerstein.metrics import rms
-
-        if self.device is None:
-            return found.statements(), [rms(found.error_um)], found.to_csv()
-        table = wave_table(found, self.device, self.factors, self.points)
-        return table.statements(), list(table.errors_um), table.text()
-
-
 def _write_period(
     files: tuple[Path, Path],
     period: Cycle,
@@ -486,22 +510,3 @@ def _write_period(
         return
     tell_statements(said)
     tell(f"run-up in {run_up}, {'one' if taught is None else 'next'} period in {out}")
-
-
-def _learnt(
-    asked: tuple[str, Path, str, dict[str, Any]],
-    trial: tuple[Path, Path],
-    uncertainty: str,
-    terms: Terms,
-    onlooker: Onlooker,
-    before: tuple[Path, Path] | None,
-) -> tuple[Cycle, IlcUpdate]:
-    """Next period of a path, from a trial, and what was learnt."""
-    from hammerstein.compensators.learning import ModelUncertainty, learn_from_files
-
-    deviations = volts("--uncertainty", uncertainty) or ()
-    if len(deviations) != 2 or not all(0.0 <= value < 1.0 for value in deviations):
-        raise InputError(
-            "--uncertainty", f"{uncertainty!r} must be two relative standard deviations, such as 0.05,0.01"
-        )
-    return learn_from_files(*asked, trial, ModelUncertainty(*deviations), terms, onlooker, before)

@@ -66,11 +66,18 @@ def tell_json(content: Any, **options: Any) -> None:
     _print(clean(json.dumps(content, **options)))
 
 
-def _print(text: str) -> None:
+@contextmanager
+def _heard() -> Iterator[None]:
+    """Print inside the block; OutputError if it cannot be written."""
     try:
-        print(text, flush=True)
+        yield
     except OSError as error:
         nobody_listens(error)
+
+
+def _print(text: str) -> None:
+    with _heard():
+        print(text, flush=True)
 
 
 def complain(text: str) -> None:
@@ -98,21 +105,15 @@ def show(table: Table) -> None:
         column.header, *column._cells = [clean(cell) if isinstance(cell, str) else cell for cell in shown]
     plain = {"markup": False, "emoji": False, "highlight": False}
     console = Console(**plain)  # type: ignore[arg-type]
-    try:
+    with _heard():
         (console if console.is_terminal else Console(width=WIDTH_OF_A_FILE, **plain)).print(table)  # type: ignore[arg-type]
         sys.stdout.flush()
-    except OSError as error:
-        nobody_listens(error)
 
 
 def settle() -> None:
     """Flush the output of libraries; OutputError if it cannot be written."""
-    try:
+    with contextlib.suppress(ValueError), _heard():  # where it is closed, there is nothing to flush
         sys.stdout.flush()
-    except OSError as error:
-        nobody_listens(error)
-    except ValueError:  # closed
-        return
 
 
 def nobody_listens(error: OSError) -> None:
