@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
@@ -90,12 +91,10 @@ class Manifest:
     def read(cls, folder: Path) -> Manifest:
         """Read the manifest of a folder; a missing or spoilt one lists nothing: nothing is touched."""
         path = folder / MANIFEST
-        try:
-            if path.is_symlink():
-                return cls(folder, {})
-            return cls(folder, _ManifestFile.model_validate_json(read_limited(path, "manifest")).files)
-        except (InputError, ValidationError):
-            return cls(folder, {})
+        with suppress(InputError, ValidationError):
+            if not path.is_symlink():
+                return cls(folder, _ManifestFile.model_validate_json(read_limited(path, "manifest")).files)
+        return cls(folder, {})
 
     def to_json(self) -> str:
         """Text of the manifest: sorted keys, no clock and no host."""

@@ -247,10 +247,9 @@ def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
                 time, mean = thin_path([run.time_s * factor, run.mean_um], MOST_CYCLES)
                 place = labels.index(run.label)
                 markers = sparse_markers(len(mean), place)
-                (line,) = axes.plot(
+                (entries[plain(run.label)],) = axes.plot(
                     time, mean, markevery=markers, label=plain(run.label), **line_style(place)
                 )
-                entries[plain(run.label)] = line
             axes.set_ylabel(f"mean error of {names[axis]} [µm]")
             axes.margins(x=0.01)
             few_ticks(axes)
