@@ -40,9 +40,11 @@ FEW_GAPS = 0.01
 """Part of the steps that are gaps, beyond which it is the clock that jitters."""
 AROUND_GAP = 3
 """Samples on each side of a gap over which it must remain."""
-VOLTAGE_RANGE = 1e-4, 1e4  # [V]
-DISPLACEMENT_RANGE = 1e-3, 1e5
-"""Ranges that a record in V and um can have; anything else is a matter of units."""
+SPANS = {
+    "input": (1e-4, 1e4, "V", "--input-scale 1e3 if the file is in kV", "--input-scale 1e-3 if it is in mV"),
+    "output": (1e-3, 1e5, "um", "--units m or --units mm", "--units nm"),
+}
+"""Least and greatest span of a record, their unit, and what to try outside: it is a matter of units."""
 
 
 def runs(flags: Flags) -> Indices:
@@ -103,14 +105,9 @@ def moves(column: Array) -> bool:
 
 def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
     """A range that no record in V or um can have, with the unit to try."""
-    low, high = VOLTAGE_RANGE if kind == "input" else DISPLACEMENT_RANGE
+    low, high, unit, too_small, too_large = SPANS[kind]
     if low <= span <= high:
         return None
-    unit, too_small, too_large = (
-        ("V", "--input-scale 1e3 if the file is in kV", "--input-scale 1e-3 if it is in mV")
-        if kind == "input"
-        else ("um", "--units m or --units mm", "--units nm")
-    )
     remedy = too_small if span < low else too_large
     return Mistake(place, f"covers {span:.3g} {unit}, which is impossible; try {remedy}")
 

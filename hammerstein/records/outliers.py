@@ -261,7 +261,7 @@ def _smooth(u: Array) -> Flags:
     return np.asarray(counts[window - 1 :] == np.concatenate([[0], counts[:-window]]))
 
 
-def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> list[Mistake]:
+def outlier_mistakes(outliers: Sequence[Outliers]) -> list[Mistake]:
     """Columns with too many outliers."""
     return [
         Mistake(
@@ -269,7 +269,7 @@ def outlier_mistakes(names: Sequence[str], values: Array, lost: Flags, rows: Ind
             f"outliers in {found.describe()} ({100 * len(found.rows) / found.samples:.1f} %), more "
             f"than the {100 * MOST:.0f} % that may be excluded; repair the record",
         )
-        for found in listed(names, values, lost, rows)
+        for found in outliers
         if len(found.rows) > max(MOST * found.samples, 1)
     ]
 

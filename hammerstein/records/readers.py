@@ -73,9 +73,7 @@ def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         values, stated = array_columns(path, wanted)
-        units = [
-            bracketed(unit or "") or column.split(":")[0] for unit, column in zip(stated, wanted, strict=True)
-        ]
+        units = [bracketed(unit) or column.split(":")[0] for unit, column in zip(stated, wanted, strict=True)]
         return _columns(path, tuple(wanted), values, np.arange(1, values.shape[1] + 1), units)
     if suffix in PARQUET:
         return _parquet_columns(path, wanted)
@@ -117,7 +115,7 @@ class Header:
         if suffix in SUFFIXES:
             arrays = {name: found.unit for name, found in variables_of(path).items() if name}
             return cls(
-                tuple(arrays), tuple(unit_in(bracketed(unit or "") or name) for name, unit in arrays.items())
+                tuple(arrays), tuple(unit_in(bracketed(unit) or name) for name, unit in arrays.items())
             )
         if suffix in PARQUET:
             with _parquet(path) as file:

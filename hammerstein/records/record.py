@@ -132,14 +132,11 @@ class Record(NotebookRepr):
     def _mend(self) -> list[Mistake]:
         """Replace outliers; mistakes where there are too many."""
         found = without_outliers(self.u_v, self.y_um)
-        columns = (
-            (self.inputs, self.u_v, found.lost_u, self.rows),
-            (self.outputs, self.y_um, found.lost_y, self.rows),
-        )
-        mistakes = [mistake for column in columns for mistake in outlier_mistakes(*column)]
-        outliers = tuple(one for column in columns for one in listed(*column))
+        outliers = listed(self.inputs, self.u_v, found.lost_u, self.rows)
+        outliers += listed(self.outputs, self.y_um, found.lost_y, self.rows)
+        mistakes = outlier_mistakes(outliers)
         if outliers and not mistakes:
-            object.__setattr__(self, "outliers", outliers)
+            object.__setattr__(self, "outliers", tuple(outliers))
             object.__setattr__(self, "u_v", frozen(found.u))
             object.__setattr__(self, "y_um", frozen(found.y))
         return mistakes
