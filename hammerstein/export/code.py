@@ -53,11 +53,7 @@ class Beside:
             return Table(self._of(one.name), one.values, f"Part {self.number}. {one.what}")
 
         return CPart(
-            sizes=tuple(
-                Size(self._of(size.name), size.value, size.what)
-                for size in part.sizes
-                if size.name not in SHARED
-            ),
+            sizes=tuple(s._replace(name=self._of(s.name)) for s in part.sizes if s.name not in SHARED),
             tables=tuple(map(renamed, part.tables)),
             indices=tuple(map(renamed, part.indices)),
             start={self._of(name): value for name, value in part.start.items()},

@@ -63,10 +63,9 @@ class ParameterCovariance(ByValue):
     def beside_creep(self, before: Dynamics, after: AxesDynamics) -> ParameterCovariance:
         """Give the same where slow modes, which are held, have come behind the numbers of the axes before."""
         axes = before.axes if isinstance(before, AxesDynamics) else (Axis(),) * len(after.axes)
-        ends = (
-            len(self.factor) - sum(len(axis.free) for axis in axes) + np.cumsum([len(a.free) for a in axes])
-        )
-        counts = [len(new.free) - len(old.free) for new, old in zip(after.axes, axes, strict=True)]
+        free = np.array([len(axis.free) for axis in axes])
+        ends = len(self.factor) - free.sum() + np.cumsum(free)
+        counts = np.array([len(axis.free) for axis in after.axes]) - free
         at = np.repeat(ends, counts)
         moved = np.arange(len(self.factor)) + np.searchsorted(at, np.arange(len(self.factor)), side="right")
         factor = np.insert(np.insert(self.factor, at, 0.0, axis=0), at, 0.0, axis=1)

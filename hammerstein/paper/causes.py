@@ -96,9 +96,8 @@ def _change(variation: Variation, claim: Claim, repeats: Repeats, store: Store |
 
 def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
     """Every factor that applies, changed alone."""
-    for effect in _effects(claim):
-        if (found := effect(scenario, model, claim)) is not None:
-            yield found
+    found = (effect(scenario, model, claim) for effect in _effects(claim))
+    yield from (variation for variation in found if variation is not None)
 
 
 def pairs(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:

@@ -361,9 +361,7 @@ def _rows(now: Numbers, stored: Numbers, tolerances: Mapping[str, Tolerance]) ->
             yield Finding(Kind.MISSING_ROW, key)
         else:
             yield from _numbers(key, now[key], stored[key], tolerances)
-    for key in now:
-        if key not in stored:
-            yield Finding(Kind.EXTRA_ROW, key)
+    yield from (Finding(Kind.EXTRA_ROW, key) for key in now if key not in stored)
 
 
 def _numbers(
@@ -377,9 +375,8 @@ def _numbers(
             abs(deviation(metric, now[metric], before)) <= limit(before, tolerance)  # never true for NaN
         ):
             yield Finding(Kind.MOVED, key, metric, before, now[metric], tolerance)
-    for metric, value in now.items():
-        if metric not in stored:
-            yield Finding(Kind.EXTRA_NUMBER, key, metric, now=value)
+    added = (metric for metric in now if metric not in stored)
+    yield from (Finding(Kind.EXTRA_NUMBER, key, metric, now=now[metric]) for metric in added)
 
 
 def _is_void(

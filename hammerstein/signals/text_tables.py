@@ -98,10 +98,8 @@ def find_layout(path: Path) -> Layout:
     encoding = _encoding(head)
     if encoding != "utf-16" and b"\0" in head:
         raise InputError(str(path), f"is a binary file; give {FORMATS}")
-    lines = re.split("\r\n|\r|\n", head.decode(encoding, errors="replace"))[
-        : -1 if len(head) == HEAD_BYTES else None
-    ]
-    lines = lines[:HEAD_LINES]
+    whole = -1 if len(head) == HEAD_BYTES else None
+    lines = re.split("\r\n|\r|\n", head.decode(encoding, errors="replace"))[:whole][:HEAD_LINES]
     comment = "%" if any(line.lstrip().startswith("%") for line in lines) else "#"
     body = [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
     dialect, width, grade = _dialect(body)
