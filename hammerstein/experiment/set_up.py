@@ -271,9 +271,7 @@ def set_up(
     plant = plant_of(scenario, model)
     _check_signal(scenario, plant, source)
     models = _models(scenario, plant, progress, store, jobs)
-    laws: dict[str, AnyLaw] = {}
-    for compensator in filter(lambda one: one.is_tested, scenario.compensators):
-        laws[compensator.label] = law_of(compensator, models[compensator.label], plant)
+    laws = {c.label: law_of(c, models[c.label], plant) for c in scenario.compensators if c.is_tested}
     return SetUp(scenario, plant, models, laws)
 
 
