@@ -206,9 +206,7 @@ def _table(path: Path) -> Iterator[tuple[str, str]]:
 def _notes(path: Path, encoding: str) -> Iterator[str]:
     """Comment lines of a table, such as those below the columns of a drive file."""
     with path.open(encoding=encoding, errors="replace") as file:
-        for line in file:
-            if line.startswith("#"):
-                yield line.removeprefix("#").strip()
+        yield from (line.removeprefix("#").strip() for line in file if line.startswith("#"))
 
 
 def _listed(value: BaseModel) -> str:
