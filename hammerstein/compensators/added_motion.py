@@ -99,6 +99,8 @@ class Approach:
         """State how many holds of each output are reached from which side."""
         parts = []
         for o, name in enumerate(outputs):
+            if not self.distance_um[o]:
+                continue
             side = "below" if self.distance_um[o] < 0.0 else "above"
             reached = f"{name} {self.detours[o] + self.right[o]} from {side}, {self.detours[o]} by a detour"
             missed = f", {self.short[o]} not (shorter than {SHORTEST_HOLD_S:g} s)" if self.short[o] else ""
@@ -116,8 +118,8 @@ def approached(reference_um: Array, distance_um: Sequence[float], sample_time_s:
     Parameters
     ----------
     reference_um : (p, N) path
-    distance_um : of each output, or of all [um]; below zero for an approach from below. It must be more than
-        the backlash, and not zero
+    distance_um : of each output, or of all [um]; below zero for an approach from below, zero for an output
+        that has no backlash. It must be more than the backlash
     sample_time_s : of the path
 
     Raises
@@ -133,7 +135,7 @@ def approached(reference_um: Array, distance_um: Sequence[float], sample_time_s:
     """
     p = len(reference_um)
     distance = np.array(distance_um, dtype=np.float64)
-    if len(distance) not in (1, p) or not (np.isfinite(distance).all() and distance.all()):
+    if len(distance) not in (1, p) or not (np.isfinite(distance).all() and distance.any()):
         what = f"needs a distance other than 0 for all outputs, or one for each of {p}"
         raise InputError("--approach-side", what)
     distance = np.broadcast_to(distance, p)
@@ -150,7 +152,7 @@ def _of_output(row: Array, away: float, sample_time_s: float) -> tuple[Array, in
     """One output with its detours, and how many holds have one, need none and are too short."""
     bent, counts = row.copy(), [0, 0, 0]
     ready, before = False, 0
-    for first, end in _holds(row):
+    for first, end in _holds(row) if away else ():
         ready = _moved_towards(row[before : first + 1], away, ready)
         before = end - 1
         if ready:

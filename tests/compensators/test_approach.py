@@ -92,3 +92,11 @@ def test_a_small_move_from_the_right_side_takes_up_no_backlash():
 def test_what_cannot_be_approached_is_refused(path, distance, message):
     with pytest.raises(InputError, match=message):
         approached(path[None], distance, STEP_S)
+
+
+def test_an_output_without_backlash_keeps_its_path():
+    path = np.stack([np.full(500, 2.0), np.full(500, 3.0)])
+    found = approached(path, [-1.0, 0.0], STEP_S)
+    np.testing.assert_array_equal(found.path_um[1], path[1])
+    assert found.path_um[0].min() == pytest.approx(1.0, abs=1e-3)
+    assert found.statement(["x", "y"]) == "Holds reached from one side: x 1 from below, 1 by a detour."
