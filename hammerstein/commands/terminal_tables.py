@@ -192,10 +192,11 @@ def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
     table.padding = 0
     table.columns[0].max_width = 14  # longer names are folded
     for source, loops in found.items():
+        name = Path(Path(source).name.rpartition(", ")[2]).stem  # of two arrays the experiment
         for loop in loops:
             size = (2.0 * loop.amplitude_v, loop.height_um, loop.width_um, loop.width_percent)
             table.add_row(
-                "" if alone else Path(source).name.rpartition(", ")[2],  # of two arrays the experiment
+                "" if alone else name,
                 loop.input,
                 loop.output + (" (minor)" if loop.minor else ""),
                 *(f"{round(number, 4) + 0.0:.4g}" for number in (*size, loop.closure_um, loop.drift_um)),

@@ -149,7 +149,7 @@ def loop_table(record: Record) -> list[Loop]:
 def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
     """Loops that a person looks at, in their order: of each pair the settled ones, or else the widest.
 
-    The hundreds of excursions of a multisine are neither.
+    The hundreds of excursions of a multisine are neither, and small ones that turn backwards are resonances.
 
     Parameters
     ----------
@@ -168,7 +168,12 @@ def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
     for own in by_key(loops, lambda loop: (loop.input, loop.output)).values():
         widest = max(loop.amplitude_v for loop in own)
         least = SLOW * max(loop.samples for loop in own if loop.amplitude_v >= WIDE * widest)
-        slow = [loop for loop in own if loop.samples >= least]
+        slow = [
+            loop
+            for loop in own
+            if loop.samples >= least
+            and (loop.amplitude_v >= WIDE * widest or loop.width_percent > BACKWARDS_PERCENT)
+        ]
         telling = [loop for loop in slow if loop.settled] or [
             loop for loop in slow if loop.amplitude_v >= WIDE * widest
         ]

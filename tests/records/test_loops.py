@@ -658,3 +658,13 @@ def test_a_loop_that_rings_is_told_and_one_of_hysteresis_is_not():
     noisy = replace(still, y_um=still.y_um + np.random.default_rng(0).normal(size=still.y_um.shape))
     for record in (still, noisy):
         assert ringing(record, loop_table(record)) is None
+
+
+def test_small_loops_that_turn_backwards_are_not_shown_beside_wide_ones():
+    """A multisine near a resonance makes them by the dozen, and some repeat: the output is half a turn late."""
+    turn = np.arange(1200) / 400
+    u, y = 10.0 * np.sin(2.0 * np.pi * turn), np.sin(2.0 * np.pi * turn - 0.2)
+    (wide, *_) = loop_table(Record([u], [y], 5e-5))
+    small = replace(wide, amplitude_v=2.0, width_um=-0.5 * wide.height_um)
+    assert telling_loops([wide, small]) == [wide]
+    assert telling_loops([small]) == [small]  # that of swapped columns is still seen
