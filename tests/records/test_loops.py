@@ -661,7 +661,7 @@ def test_a_loop_that_rings_is_told_and_one_of_hysteresis_is_not():
 
 
 def test_small_loops_that_turn_backwards_are_not_shown_beside_wide_ones():
-    """A multisine near a resonance makes them by the dozen, and some repeat: the output is half a turn late."""
+    """A multisine near a resonance makes them by the dozen, and some repeat."""
     turn = np.arange(1200) / 400
     u, y = 10.0 * np.sin(2.0 * np.pi * turn), np.sin(2.0 * np.pi * turn - 0.2)
     (wide, *_) = loop_table(Record([u], [y], 5e-5))
