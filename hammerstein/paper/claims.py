@@ -161,7 +161,7 @@ class Claim(Strict):
     note: str = Field(default="", description="remark for readers if the claim is not met")
     calibrated: bool = Field(
         default=False,
-        description="the actuator was made to meet this claim: it is listed separately and not counted",
+        description="the actuator was fitted to this figure, so it is listed separately and not counted",
     )
     factors: tuple[FactorName, ...] | None = Field(
         default=None, description="possible causes to try if it is not met; all that apply if omitted"

@@ -230,7 +230,7 @@ def _judged(
     changes = tuple(changes_of(claim)) if unmet and not claim.calibrated else ()
     cause, reason = _cause(changes) if unmet else ("", _open(own))
     if unmet and claim.calibrated:
-        reason = "The actuator was made to meet this claim; no change was tried."
+        reason = "The actuator was fitted to several such figures together; no change was tried."
     tried = [f"{change.words} {change.shown}" for change in changes if math.isfinite(change.value)]
     details = [_cut(claim, rows), "; ".join(tried), claim.note if own.agrees is not True else ""]
     return ClaimJudgement(
