@@ -199,7 +199,7 @@ def test_a_pair_is_the_cause_where_no_single_factor_is():
     assert _told(("sensor", "ideal", 4.0), pair, other).cause == ""
     calibrated = _claim({"at_most": 2.0}, calibrated=True)
     (kept,) = judgements([calibrated], {"plant": [(_row(8.0, 200),)]}, _changed(pair))
-    assert kept.reason == "The actuator was made to meet this claim; no change was tried."
+    assert kept.reason == "The actuator was fitted to several such figures together; no change was tried."
     assert kept.changes == ()
 
 
