@@ -13,7 +13,9 @@ import re
 import shutil
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from constants import constants
@@ -152,38 +154,66 @@ def keys() -> str:
     """Give every table of a scenario file with its keys, from the JSON Schema."""
     load_plugins()
     schema = Scenario.model_json_schema()
-    tables = {"Scenario": schema, **dict(sorted(schema["$defs"].items()))}
+    heads = {"": "the file itself"}
+    name_tables(schema, schema["$defs"], "", heads)
+    tables = {"": schema, **schema["$defs"]}
     rows = [
-        f'<h2 id="{name}">{name}</h2><p>{html.escape(table.get("description", "").partition(chr(10))[0])}</p>'
+        f'<h2 id="{name}">{html.escape(head)}</h2>'
+        f"<p>{html.escape(tables[name].get('description', '').partition(chr(10))[0])}</p>"
         "<table><tr><th>key<th>type<th>default<th>meaning"
-        + "".join(key_row(key, node, table) for key, node in table["properties"].items())
+        + "".join(key_row(key, node, tables[name], heads) for key, node in tables[name]["properties"].items())
         + "</table>"
-        for name, table in tables.items()
-        if table.get("properties")
+        for name, head in heads.items()
+        if tables[name].get("properties")
     ]
     return "<h1>Keys of scenario files</h1>" + "".join(rows)
 
 
-def key_row(key: str, node: dict[str, object], table: dict[str, object]) -> str:
+def name_tables(table: dict[str, Any], defined: dict[str, Any], path: str, heads: dict[str, str]) -> None:
+    """Add the tables below one as a file writes them: [sweep], or [reference] kind = "circle"."""
+    for key, node in table.get("properties", {}).items():
+        own = f"{path}.{key}".lstrip(".")
+        for ref, bracket in tables_of(node):
+            name = ref.rpartition("/")[2]
+            if name not in heads:
+                own_keys = defined[name]["properties"].items()
+                fixed = [(word, one["const"]) for word, one in own_keys if "const" in one]
+                kinds = "".join(f' {word} = "{value}"' for word, value in fixed)
+                heads[name] = f"{bracket}{own}{']' * len(bracket)}{kinds}"
+                name_tables(defined[name], defined, own, heads)
+
+
+def tables_of(node: dict[str, Any], bracket: str = "[") -> Iterator[tuple[str, str]]:
+    """Give the tables that a value may be; those in a list are written with two brackets."""
+    if "$ref" in node:
+        yield node["$ref"], bracket
+    for part in (*node.get("anyOf", []), *node.get("oneOf", [])):
+        yield from tables_of(part, bracket)
+    items = node.get("items", node.get("additionalProperties"))
+    if isinstance(items, dict):
+        yield from tables_of(items, "[[" if "items" in node else bracket)
+
+
+def key_row(key: str, node: dict[str, Any], table: dict[str, Any], heads: dict[str, str]) -> str:
     """One key: its type, its default, its meaning."""
     default = json.dumps(node["default"]) if "default" in node and "$ref" not in node else ""
     needed = "required" if key in table.get("required", ()) else html.escape(default)
     said = html.escape(str(node.get("description", "")))
-    return f"<tr><td><code>{key}</code><td>{kind_of(node)}<td>{needed}<td>{said}"
+    return f"<tr><td><code>{key}</code><td>{kind_of(node, heads)}<td>{needed}<td>{said}"
 
 
-def kind_of(node: dict[str, object]) -> str:
+def kind_of(node: dict[str, Any], heads: dict[str, str]) -> str:
     """Type of a value in words, with links to tables and its limits."""
     if "$ref" in node:
         name = str(node["$ref"]).rpartition("/")[2]
-        return f'<a href="#{name}">{name}</a>'
+        return f'<a href="#{name}">{html.escape(heads.get(name, name))}</a>'
     for several in ("anyOf", "oneOf"):
         if several in node:
-            return " or ".join(map(kind_of, node[several]))
+            return " or ".join(kind_of(part, heads) for part in node[several])
     if "const" in node or "enum" in node:
         return ", ".join(json.dumps(value) for value in node.get("enum", [node.get("const")]))
     if node.get("type") == "array" and isinstance(node.get("items"), dict):
-        return f"list of {kind_of(node['items'])}"
+        return f"list of {kind_of(node['items'], heads)}"
     signs = {"minimum": "&ge;", "exclusiveMinimum": "&gt;", "maximum": "&le;", "exclusiveMaximum": "&lt;"}
     limits = [f" {sign} {node[limit]}" for limit, sign in signs.items() if limit in node]
     return html.escape(str(node.get("type", "any"))) + ",".join(limits)
