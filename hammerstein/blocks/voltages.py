@@ -102,6 +102,7 @@ class Verdict(Strict):
         default=(), description="the same in um, with the noise of the records"
     )
     noise_um: tuple[Figure, ...] = Field(default=(), description="white noise of the records in that error")
+    largest_um: tuple[Figure, ...] = Field(default=(), description="largest error about its mean in a record")
     rest_um: tuple[Figure, ...] = Field(
         default=(),
         description="error of each output at rest, about the mean error of its record; none where no record "

@@ -171,6 +171,7 @@ class Prediction:
 
     path : of the drive if the actuator were exactly the model; most : the largest error of that kind
     model : of the model about its mean, None where untested; validated : whether on a validation record
+    largest : error of the model there, with noise; None where it is not known
     rest : of the position at rest, from which a path counts; None where no record began at rest
     converter : of rounding to steps, uniformly distributed; noise : of the sensor
     """
@@ -178,6 +179,7 @@ class Prediction:
     path: Array
     most: Array
     model: Array | None
+    largest: Array | None
     validated: bool
     rest: Array | None
     converter: Array
@@ -190,10 +192,12 @@ class Prediction:
         volts = float(half.max()) if np.isfinite(half).all() else 1.0
         step_v = model.instruments.drive.resolution_v / np.sqrt(12.0)
         rest_um = () if verdict is None else verdict.rest_um
+        largest = () if verdict is None else verdict.largest_um
         return cls(
             path=attempt.path_rms_um,
             most=attempt.path_error_um,
             model=model_error_um(model),
+            largest=np.array(largest) if len(largest) == len(model.outputs) else None,
             validated=verdict is not None and verdict.held_out,
             rest=np.array(rest_um) if len(rest_um) == len(model.outputs) else None,
             converter=np.asarray(step_v * np.abs(model.gain(volts)).sum(axis=1)),
@@ -213,6 +217,7 @@ class Prediction:
             "path_rms_um": float(self.path[o]),
             "path_max_um": float(self.most[o]),
             "model_um": None if self.model is None else float(self.model[o]),
+            "model_largest_um": None if self.largest is None else float(self.largest[o]),
             "model_validated": self.validated,
             "rest_um": None if self.rest is None else float(self.rest[o]),
             "converter_um": float(self.converter[o]),
@@ -236,7 +241,8 @@ class Prediction:
             parts, more = [*parts, "model untested"], " without the error of the model"
         else:
             where = "validation" if self.validated else "fitted"
-            parts.append(f"model {self.model[o]:.2g} on {where} records")
+            most = "" if self.largest is None else f", at most {self.largest[o]:.2g}"
+            parts.append(f"model {self.model[o]:.2g}{most} on {where} records")
             more = " plus an untested constant offset" if self.rest is None else ""
         parts += ["rest position untested"] if self.rest is None else [f"rest position {self.rest[o]:.2g}"]
         parts += [f"converter step {self.converter[o]:.2g}"] if self.converter[o] else []

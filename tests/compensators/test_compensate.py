@@ -472,7 +472,7 @@ def test_what_is_expected_names_every_contribution_and_their_rms(tmp_path, capsy
 
 def test_an_error_that_no_validation_record_has_tested_is_a_least_one():
     """Without one, 0.019 um was expected where a drive missed by 0.14 um: the error of a fit is the least."""
-    known = Prediction(np.zeros(1), np.zeros(1), np.array([0.02]), True, np.zeros(1), np.zeros(1), 0.0)
+    known = Prediction(np.zeros(1), np.zeros(1), np.array([0.02]), None, True, np.zeros(1), np.zeros(1), 0.0)
     assert "x 0.02 um (" in known.statement(("x",))
     fitted = dataclasses.replace(known, validated=False)
     assert "x at least 0.02 um (" in fitted.statement(("x",))
@@ -494,7 +494,8 @@ def test_columns_of_a_path_that_are_no_output_are_named(tmp_path, monkeypatch, c
 
 def test_an_untested_rest_position_is_no_part_of_the_expected_error():
     """An actuator that began elsewhere missed by 0.94 um where 0.13 um was expected."""
-    known = Prediction(np.zeros(1), np.zeros(1), np.array([0.13]), True, None, np.zeros(1), 0.0)
+    known = Prediction(np.zeros(1), np.zeros(1), np.array([0.13]), np.ones(1), True, None, np.zeros(1), 0.0)
     assert "x 0.13 um plus an untested constant offset (path 0, " in known.statement(("x",))
+    assert "model 0.13, at most 1 on validation records" in known.statement(("x",))
     path = dataclasses.replace(known, path=np.array([1.2e-5])).statement(("x",))
     assert "(path 0.00001, " in path
