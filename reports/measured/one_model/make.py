@@ -2,10 +2,13 @@
 
     python reports/measured/one_model/make.py table FOLDER
     python reports/measured/one_model/make.py fit FOLDER SEARCH [MINUTES]
+    python reports/measured/one_model/make.py alone FOLDER [MINUTES]
 
 FOLDER holds the records of github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0). ``fit`` reads the training
-records alone, goes on from the numbers in SEARCH, and writes them there after every step. ``table`` is all
-that reads the test records; it prints the table, and writes README.md and table.json beside this file.
+records alone, goes on from the numbers in SEARCH, and writes them there after every step. ``alone`` does what
+``hammerstein identify --hysteresis-in-loop`` does with the training records, and writes the errors of its
+model into alone.json beside this file. ``table`` prints the table, and writes README.md and table.json. Only
+the last two read the test records, once there is nothing left to choose.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +29,11 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Drive
 from hammerstein.dynamics import on_grid
+from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
 from hammerstein.model import HammersteinModel
+from hammerstein.records.record import Record
 
 HERE = Path(__file__).parent
 LEVELS_MV = (100, 200, 300)
@@ -120,6 +126,8 @@ def table(found: dict[str, dict[str, list[Any]]]) -> str:
     rows = {f"published: {name}": list(values) for name, values in PUBLISHED.items()}
     rows["**this model, test records**"] = found["test"]["rms_um"]
     rows["this model, training records"] = found["train"]["rms_um"]
+    one_command = json.loads((HERE / "alone.json").read_text(encoding="utf-8"))
+    rows[f"one command, {one_command['minutes']} minutes, test records"] = one_command["rms_um"]["test"]
     rows["noise of one period, test records"] = found["test"]["noise_um"]
     rows["rms of the test positions"] = found["test"]["position_rms_um"]
     lines = [f"| {name} | {' | '.join(f'{v:.3f}' for v in values)} |" for name, values in rows.items()]
@@ -162,6 +170,27 @@ def fit(folder: Path, file: Path, minutes: float) -> None:
     replace(model, instruments=instruments).save(HERE / "model.json")
 
 
+def alone(folder: Path, minutes: float) -> None:
+    """Identify from the training records with defaults, and write what came out."""
+    found = []
+    for level in LEVELS_MV:
+        for u, y in zip(*records(folder, level, "train"), strict=True):
+            names = [tuple(f"{axis}{i + 1}" for i in range(len(u[0]))) for axis in "uy"]
+            found.append(Record(np.hstack(u), np.hstack(y), TIME_S, *names, period_samples=u.shape[-1]))
+    begun = time.monotonic()
+    tell = partial(print, flush=True)
+    model, fit = identify_in_loop(found, LoopSettings(minutes=minutes), progress=tell)
+    write_alone(model, folder, next(one.name for one in fit.trials if one.kept), time.monotonic() - begun)
+
+
+def write_alone(model: HammersteinModel, folder: Path, structure: str, seconds: float) -> None:
+    """Write the errors of a model that was identified from the training records alone."""
+    errors = {part: judged(model, folder, part)["rms_um"] for part in ("train", "test")}
+    content = {"structure": structure, "minutes": round(seconds / 60.0), "rms_um": errors}
+    (HERE / "alone.json").write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    print(content)
+
+
 def write_table(folder: Path) -> None:
     """Print the table, and write the page."""
     model = HammersteinModel.load(HERE / "model.json")
@@ -177,6 +206,8 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["table", folder]:
             write_table(Path(folder))
+        case ["alone", folder, *minutes]:
+            alone(Path(folder), float(minutes[0]) if minutes else 60.0)
         case ["fit", folder, search, *minutes]:
             fit(Path(folder), Path(search), float(minutes[0]) if minutes else 60.0)
         case _:
