@@ -46,14 +46,26 @@ def test_the_fit_needs_no_test_records(one_model, tmp_path):
     assert left[1] < 0.5 * left[0]
 
 
+def test_training_records_are_those_of_all_levels_with_both_periods(one_model, tmp_path):
+    write(tmp_path, ["train"])
+    found = one_model.training(tmp_path)
+    u, y = one_model.records(tmp_path, 300, "train")
+    assert [record.period_samples for record in found] == [u.shape[-1]] * 6
+    np.testing.assert_array_equal(found[-1].u_v, np.hstack([u[-1, 0], u[-1, 1]]))
+    np.testing.assert_array_equal(found[-1].y_um, np.hstack([y[-1, 0], y[-1, 1]]))
+
+
 def test_the_table_is_the_error_of_the_test_records(one_model, tmp_path):
     """The truth judges records that stand 0.25 um beside it, and training records that do not."""
     write(tmp_path, ["train"])
     write(tmp_path, ["test"], 0.25)
-    made_up().model("truth", SECOND, 1.5, ["u1", "u2"], ["y1", "y2"]).save(tmp_path / "model.json")
+    truth = made_up().model("truth", SECOND, 1.5, ["u1", "u2"], ["y1", "y2"])
+    truth.save(tmp_path / "model.json")
+    one_model.write_alone(truth, tmp_path, "plays", 120.0)
     (tmp_path / "notes.md").write_text("{table}")
     one_model.write_table(tmp_path)
     text = (tmp_path / "README.md").read_text()
     assert "| **this model, test records** | 0.250 | 0.250 | 0.250 |" in text
     assert "| this model, training records | 0.000 | 0.000 | 0.000 |" in text
+    assert "| found with defaults in 2 minutes, test records | 0.250 | 0.250 | 0.250 |" in text
     assert "| noise of one period, test records | 0.000 | 0.000 | 0.000 |" in text

@@ -126,8 +126,8 @@ def table(found: dict[str, dict[str, list[Any]]]) -> str:
     rows = {f"published: {name}": list(values) for name, values in PUBLISHED.items()}
     rows["**this model, test records**"] = found["test"]["rms_um"]
     rows["this model, training records"] = found["train"]["rms_um"]
-    one_command = json.loads((HERE / "alone.json").read_text(encoding="utf-8"))
-    rows[f"one command, {one_command['minutes']} minutes, test records"] = one_command["rms_um"]["test"]
+    quick = json.loads((HERE / "alone.json").read_text(encoding="utf-8"))
+    rows[f"found with defaults in {quick['minutes']} minutes, test records"] = quick["rms_um"]["test"]
     rows["noise of one period, test records"] = found["test"]["noise_um"]
     rows["rms of the test positions"] = found["test"]["position_rms_um"]
     lines = [f"| {name} | {' | '.join(f'{v:.3f}' for v in values)} |" for name, values in rows.items()]
@@ -170,16 +170,20 @@ def fit(folder: Path, file: Path, minutes: float) -> None:
     replace(model, instruments=instruments).save(HERE / "model.json")
 
 
-def alone(folder: Path, minutes: float) -> None:
-    """Identify from the training records with defaults, and write what came out."""
+def training(folder: Path) -> list[Record]:
+    """Give the training records of all levels, both periods of each."""
     found = []
     for level in LEVELS_MV:
         for u, y in zip(*records(folder, level, "train"), strict=True):
             names = [tuple(f"{axis}{i + 1}" for i in range(len(u[0]))) for axis in "uy"]
             found.append(Record(np.hstack(u), np.hstack(y), TIME_S, *names, period_samples=u.shape[-1]))
-    begun = time.monotonic()
-    tell = partial(print, flush=True)
-    model, fit = identify_in_loop(found, LoopSettings(minutes=minutes), progress=tell)
+    return found
+
+
+def alone(folder: Path, minutes: float) -> None:
+    """Identify from the training records with defaults, and write what came out."""
+    begun, tell = time.monotonic(), partial(print, flush=True)
+    model, fit = identify_in_loop(training(folder), LoopSettings(minutes=minutes), progress=tell)
     write_alone(model, folder, next(one.name for one in fit.trials if one.kept), time.monotonic() - begun)
 
 
