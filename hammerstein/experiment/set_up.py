@@ -1,7 +1,4 @@
-"""From a scenario to its report: simulate every case, measure it, gather the rows.
-
-reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, with all signals
-"""
+"""What a case of a scenario is made of: actuator, identified models, laws and signals."""
 
 from __future__ import annotations
 

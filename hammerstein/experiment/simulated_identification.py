@@ -105,7 +105,7 @@ class IlcRun:
 
 
 class IlcRuns:
-    """IlcRuns by actuator, as long as there is the actuator."""
+    """Trials of learning by actuator, as long as there is the actuator."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

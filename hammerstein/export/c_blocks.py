@@ -111,7 +111,7 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
     for k, (n, now) in enumerate(zip(bank.n, hysteresis.plays_of(state), strict=True)):
         padded[k, :n] = now
         held: list[dict[str, Any]] = [floor | {"end": int(n)}]
-        for s in range(int(state.count[k])):  # the output at each tip is that of play_kernels._load
+        for s in range(int(state.count[k])):  # the output at each tip is that of play_kernels.load
             below, end = held[-1], int(state.end[k, s])
             x, d = float(state.x[k, s]), float(state.d[k, s])
             way, turn = x - below["x"], d - below["d"]

@@ -162,7 +162,7 @@ class CCode:
         return self.model.on_grid(self.request.sample_time_s)
 
     def adverse(self, samples: int) -> Array:
-        """Signal (axis, sample) in which the dearest step is looked for, see ``golden.adverse``."""
+        """Signal (axis, sample) in which the dearest step is looked for, see ``trial.adverse``."""
         return adverse(self.block, self.model_on_grid, samples)
 
     def library(

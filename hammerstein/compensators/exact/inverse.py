@@ -31,7 +31,7 @@ STILL = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class ExactState(Memory):
-    """Memory of the exact inverse, as in the tables of ``pieces``.
+    """Memory of the exact inverse, as in the tables of ``piece_kernels``.
 
     stack : (m, n_max+2, 3+m) the stacks of segments behind the smallest plays
     hand : (m, 3) height of each stack, the last q asked for [V], ramp of the jump from -1 to 1
@@ -55,7 +55,7 @@ class Recovery(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """What ``pieces`` works on: records of rows (input, row), and of each input (input,)."""
+    """What ``piece_kernels`` works on: records of rows (input, row), and of each input (input,)."""
 
     w: np.ndarray[Any, Any]
     here: np.ndarray[Any, Any]
@@ -77,7 +77,7 @@ class StaticInverse(Law[S]):
     _start: S
 
     def design_tables(self) -> Tables:
-        """Tables of ``pieces`` as they are before a run."""
+        """Tables of ``piece_kernels`` as they are before a run."""
         return Tables(*(table.copy() for table in self._design))
 
     def statement(self) -> str:
@@ -199,7 +199,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
     InputError : more outputs than inputs, a smallest threshold beyond the range, or softening below zero
     SimulationError : the model has no inverse, with the slopes and the remedy
 
-    Source: this work; the method is that of ``exact_kernel``.
+    Source: this work; the method is that of ``inverse_kernel``.
 
     Examples
     --------
@@ -238,7 +238,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         return step_exact
 
     def _new_design(self) -> Tables:
-        """Tables of ``pieces`` with the model in them."""
+        """Tables of ``piece_kernels`` with the model in them."""
         m, bank, zones = self.n_inputs, self.square.plays.bank, self.square.lines
         operators, ends = bank.r.shape[1], zones.ends.shape[1]
         w, here = tables(m, operators + ends + 1)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ControllerState(Memory):
-    """Memory of the controller, a row for each output: see the columns of ``feedback_kernel``."""
+    """Memory of the controller, a row for each output: see the columns of ``pid_kernel``."""
 
     memory: Array
 
@@ -47,8 +47,8 @@ class FeedbackController(Controller[ControllerState]):
     matrix of the settled loops; what the range clips off the drive is taken out of the sum at once
     (back-calculation), so that the controller leaves the range as soon as the reference does.
 
-    Without gains they are computed from the model (``tuning``): the largest integral gain that keeps the
-    sensitivity below 1.6 for every slope of the hysteresis.
+    Without gains they are computed from the model (``feedback.loop.tuned``): the largest integral gain that
+    keeps the sensitivity below 1.6 for every slope of the hysteresis.
 
     Parameters
     ----------

@@ -210,8 +210,7 @@ class _Work:
 
         _run(begun, parts.seen, self.pool, tell, Search())
         self.trials.append(tried.trial)
-        # the clock says nothing on how many steps are enough
-        return tried._replace(steps=Search.steps) if self._is_late(0.5) else tried
+        return tried
 
     def _all(self, best: _Best, periods: Sequence[SettledPeriod]) -> LoopParameters:
         """Fit all experiments with the structure chosen, by as many steps."""
