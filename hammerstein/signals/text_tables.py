@@ -232,10 +232,12 @@ def _first_row(table: Sequence[Sequence[str]], width: int, dialect: Dialect, gra
 def _header(lines: Sequence[str], dialect: Dialect, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units in the nearest lines above the numbers with one word a column; titles are passed over.
 
-    Where there are only units, they are the names as well.
+    Where there are only units, they are the names as well. Lines of comments come last: one with as many
+    words as columns may stand below the header.
     """
     units: tuple[str, ...] = ()
-    for line in reversed([line for line in lines if line.strip()]):
+    told = reversed([line for line in lines if line.strip()])
+    for line in sorted(told, key=lambda line: line.lstrip("\ufeff \t")[:1] in COMMENTS):
         names = _words(line.lstrip("\ufeff \t#%"), dialect.separator, width)
         if len(names) != width or not any(names):
             continue

@@ -89,6 +89,14 @@ class TestTextFiles:
         assert record.rows[0] == 6
         assert record.outputs == ("x",)
 
+    def test_a_comment_below_the_header_is_no_header(self, tmp_path, table):
+        """It has as many words as there are columns; a header that is a comment itself is still read."""
+        path, said = tmp_path / "wave.csv", "# untried on a device: range 10 V, rate 20 kHz, one channel\n"
+        for mark in ("", "# "):
+            path.write_text(f"# a title\n{mark}t,u_x,x\n" + (said if not mark else "") + table_text(table))
+            (record,) = read(path, time="t", rate_hz=None)
+            assert (record.inputs, record.outputs) == (("u_x",), ("x",))
+
     def test_a_column_of_text_that_is_not_wanted(self, tmp_path, table):
         path = tmp_path / "log.csv"
         lines = table_text(table).splitlines()
