@@ -24,7 +24,13 @@ from hammerstein.reporting.figures.choice import legend_labels, legible_parts
 from hammerstein.reporting.figures.identified import compared_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
 from hammerstein.reporting.figures.style import letter, line_style, new_figure, plain_numbers, styled
-from hammerstein.reporting.figures.sweep import SweepCurve, sensitivity_figure, sweep_figure
+from hammerstein.reporting.figures.sweep import (
+    DriftRun,
+    SweepCurve,
+    drift_figure,
+    sensitivity_figure,
+    sweep_figure,
+)
 
 SINE_UM = {"kind": "sine", "amplitude_um": 40.0, "frequency_hz": 50.0}
 MODEL = {"label": "model", "identification": {}}
@@ -383,6 +389,11 @@ def test_a_question_on_drift_is_drawn_as_drift() -> None:
     row = next(row for row in report.rows if row.measured_axis == "x")
     assert len(means) == 6
     assert means[-1] - means[0] == pytest.approx(row.drift_true_um, abs=1e-12)
+
+
+def test_three_axes_that_drift_have_three_panels() -> None:
+    runs = [DriftRun("one", axis, np.arange(4.0), np.arange(4.0)) for axis in range(3)]
+    assert [panel.get_ylabel()[-6] for panel in drift_figure(runs, ["x", "y", "z"]).axes] == ["x", "y", "z"]
 
 
 def test_models_of_a_path_in_volts_are_compared_with_the_reading() -> None:

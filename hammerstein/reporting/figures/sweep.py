@@ -240,7 +240,9 @@ def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
     rows, columns = side_by_side(len(axes_shown))
     with styled():
         figure = new_figure(0.8 + 2.3 * rows, columns)
-        panels = figure.subplots(rows, columns, squeeze=False).flat
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in panels[len(axes_shown) :]:
+            axes.remove()
         entries: dict[str, Artist] = {}
         for number, (axis, axes) in enumerate(zip(axes_shown, panels, strict=False)):
             for run in (run for run in runs if run.axis == axis):
