@@ -175,8 +175,9 @@ def training(folder: Path) -> list[Record]:
     found = []
     for level in LEVELS_MV:
         for u, y in zip(*records(folder, level, "train"), strict=True):
-            names = [tuple(f"{axis}{i + 1}" for i in range(len(u[0]))) for axis in "uy"]
-            found.append(Record(np.hstack(u), np.hstack(y), TIME_S, *names, period_samples=u.shape[-1]))
+            inputs, outputs = (tuple(f"{axis}{i + 1}" for i in range(len(u[0]))) for axis in "uy")
+            n = u.shape[-1]
+            found.append(Record(np.hstack(u), np.hstack(y), TIME_S, inputs, outputs, period_samples=n))
     return found
 
 
