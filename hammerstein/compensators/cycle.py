@@ -36,7 +36,7 @@ from hammerstein.compensators.path_file import (
     predicted_groups,
     read_path,
 )
-from hammerstein.compensators.reach import reach
+from hammerstein.compensators.reach import Reach as Reach, reach  # a type of what a missed period inherits
 from hammerstein.dynamics import linearised, on_grid
 from hammerstein.errors import HammersteinError, SimulationError
 from hammerstein.metrics import rms

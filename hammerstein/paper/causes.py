@@ -96,8 +96,9 @@ def _change(variation: Variation, claim: Claim, repeats: Repeats, store: Store |
 
 def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
     """Every factor that applies, changed alone."""
-    found = (effect(scenario, model, claim) for effect in _effects(claim))
-    yield from (variation for variation in found if variation is not None)
+    for effect in _effects(claim):
+        if (found := effect(scenario, model, claim)) is not None:
+            yield found
 
 
 def pairs(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
@@ -125,13 +126,8 @@ def _dynamics(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Vari
 
 
 def _passes(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
-    """Of the paper's law; None where there is no such law."""
-
-    def change(source: ModelSource) -> ModelSource:
-        is_paper = isinstance(source, InverseMultiplicative)
-        return source.model_copy(update={"iterations": PASSES}) if is_paper else source
-
-    changed, words = _with_sources(scenario, change), f"with {PASSES} passes a sample"
+    changed = with_passes(scenario, PASSES)
+    words = f"with {PASSES} passes a sample"
     return None if changed is None else Variation(("passes",), words, changed, model)
 
 
@@ -221,6 +217,16 @@ def _with_sources(scenario: Scenario, change: Callable[[Any], Any]) -> Scenario 
     tested = (s for group in groups.values() for s in group if s.is_tested)
     before = (s for name in groups for s in getattr(scenario, name) if s.is_tested)
     return None if list(tested) == list(before) else scenario.model_copy(update=groups)
+
+
+def with_passes(scenario: Scenario, passes: int) -> Scenario | None:
+    """The scenario with so many passes of the paper's law in a sample; None where it has no such law."""
+
+    def change(source: ModelSource) -> ModelSource:
+        is_paper = isinstance(source, InverseMultiplicative)
+        return source.model_copy(update={"iterations": passes}) if is_paper else source
+
+    return _with_sources(scenario, change)
 
 
 def identified_with(scenario: Scenario, key: str, value: float) -> Scenario | None:
