@@ -280,17 +280,20 @@ class LoopInverseLaw(Law[LoopPathState]):
     def drive_for(self, reference_um: ArrayLike) -> Array:
         """Drive (m, N) aligned with a reference (p, N) that is known ahead; its last value is held.
 
-        The iterations are those of this path, with the gains that leave least of it.
+        The iterations are those of this path, with the gains that leave least of it within the range: several
+        drives can meet a path at the samples, and some of them swing far between.
         """
         reference = checked_reference(reference_um, self.n_outputs)
-        least, v = np.inf, np.zeros((self.block.n_inputs, reference.shape[1]))
+        least, drive = (True, np.inf), np.zeros((self.n_inputs, reference.shape[1]))
         for one in self.loops:
-            left, inputs = one.solved(self._known(one, reference))
-            if left < least:
-                least, v = left, inputs
-            if left <= ENOUGH or not reference.any():
+            left, v = one.solved(self._known(one, reference))
+            found = self.exact.solve(self._from_rest(v), self.exact.rest(), np.zeros(0))[0]
+            now = bool(self.range.reached(self.range.absolute(found)).any()), left
+            if now <= least:
+                least, drive = now, found
+            if least <= (False, ENOUGH) or not reference.any():
                 break
-        return self.range.absolute(self.exact.solve(self._from_rest(v), self.exact.rest(), np.zeros(0))[0])
+        return self.range.absolute(drive)
 
     def _known(self, loop: LoopPass, reference: Array) -> Array:
         """Filtered path (p, N + reach_samples) on which the inputs of a loop stand."""
