@@ -240,3 +240,16 @@ def test_a_square_wave_is_told_the_filter_with_which_it_is_within_reach():
     left = np.abs(found.predicted.error_um).max()
     assert left == pytest.approx(float(named[2]), rel=0.06)
     assert left < 0.6 * float(clipped[1])
+
+
+def test_of_drives_that_meet_a_path_one_within_the_range_is_taken(monkeypatch):
+    """Another one swings far between the samples: cut at the range, it missed a path."""
+    law, small = law_of(stacks()), 0.1 * np.ones((2, 3000))
+    assert len(law.loops) > 1
+    first = law.loops[0]
+    monkeypatch.setattr(
+        type(first),
+        "solved",
+        lambda self, known: (1e-6, 1e4 * small) if self is first else (5e-5, small),
+    )
+    np.testing.assert_allclose(law.drive_for(path()), small)
