@@ -17,7 +17,7 @@ from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.identify import Prepared, fit_kind, fit_plays, identify, settings_of_plays
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.residual_analysis import stated_errors
-from hammerstein.identification.score import Candidate
+from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import own_starts
 from hammerstein.identification.static.regressors import InitialState
@@ -236,7 +236,7 @@ def _fitted(
     if not best:  # counts from any working point
         judged, starts = (fit.held, fit.held_starts) if fit.held else (fit.records, fit.starts)
         own = own_starts(judged, starts, candidate.predict, slow_s=candidate.slow_s)
-        told = stated_errors(candidate, judged, own)
+        told = stated_errors(score(candidate, judged, own), judged)
         model = replace(
             model,
             hysteresis=candidate.hysteresis,

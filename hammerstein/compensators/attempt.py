@@ -140,8 +140,9 @@ def stated_error_um(model: HammersteinModel) -> Array | None:
     It includes their noise.
     """
     verdict = model.verdict
-    tested = verdict is not None and len(verdict.rms_um) == len(model.outputs)
-    return np.array(verdict.rms_um) if verdict is not None and tested else None
+    if verdict is None or len(verdict.rms_um) != len(model.outputs):
+        return None
+    return np.array(verdict.rms_um)
 
 
 def model_error_um(model: HammersteinModel) -> Array | None:
@@ -227,13 +228,11 @@ class Prediction:
 
     def statement(self, outputs: Sequence[str]) -> str:
         """Name the contributions and their rms for each output."""
-        exact = (
-            ""
-            if self.converter.any()
-            else " Converter resolution is not included: the model file does not state it."
-        )
         each = "; ".join(self._of(o, name) for o, name in enumerate(outputs))
-        return f"Expected rms error: {each}.{exact}"
+        told = f"Expected rms error: {each}."
+        if self.converter.any():
+            return told
+        return f"{told} Converter resolution is not included: the model file does not state it."
 
     def _of(self, o: int, name: str) -> str:
         parts, more = [f"path {length(float(self.path[o]), 2)}"], ""

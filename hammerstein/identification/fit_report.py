@@ -263,7 +263,7 @@ def model_of(fit: Fit, best: Candidate, name: str, instruments: Instruments | No
             statements=fit.flags,
             held_out=bool(fit.held),
             sentence=fit.verdict,
-            **stated_errors(best, *((fit.held, fit.held_starts) if fit.held else (fit.records, fit.starts))),
+            **stated_errors(fit.judged[fit.kind], fit.held or fit.records),
             rest_um=_rest_um(fit, best),
         ),
     )

@@ -11,7 +11,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.identification.excitation import is_noise
 from hammerstein.identification.options import PLAYS
-from hammerstein.identification.score import AT_REST, Candidate, ranges, score
+from hammerstein.identification.score import AT_REST, Candidate, Score, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit
@@ -96,17 +96,13 @@ def noise_within(records: Sequence[Record], rms_um: Sequence[float]) -> Array:
     return np.minimum(noise, rms_um) if (noise < BELIEVED * np.array(rms_um)).all() else 0.0 * noise
 
 
-def stated_errors(
-    candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
-) -> dict[str, tuple[float, ...]]:
+def stated_errors(found: Score, records: Sequence[Record]) -> dict[str, tuple[float, ...]]:
     """Errors on records as a model file states them, with the part of them that is noise."""
-    found = score(candidate, records, starts)
-    left = [candidate.residual(record, start) for record, start in zip(records, starts, strict=True)]
     return {
         "nrmse_percent": found.nrmse_percent,
         "rms_um": found.rms_um,
         "noise_um": tuple(noise_within(records, found.rms_um).tolist()),
-        "largest_um": tuple(np.max([np.abs(error).max(axis=1) for error in left], axis=0).tolist()),
+        "largest_um": found.largest_um,
     }
 
 

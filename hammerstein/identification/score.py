@@ -125,11 +125,13 @@ class Score:
     nrmse_percent : rms error in percent of the range of the readings
     rms_um : rms error about its mean in each record [um]
     output_percent : rms error in percent of the rms of the readings about their mean
+    largest_um : largest error about its mean in a record [um]
     """
 
     nrmse_percent: tuple[float, ...]
     rms_um: tuple[float, ...]
     output_percent: tuple[float, ...]
+    largest_um: tuple[float, ...] = ()
 
     @property
     def mean_percent(self) -> float:
@@ -139,16 +141,18 @@ class Score:
 
 def score(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Score:
     """Errors of a model on records, all together."""
-    squares, power, samples = np.zeros(len(records[0].y_um)), np.zeros(len(records[0].y_um)), 0
+    squares, power, largest = np.zeros((3, len(records[0].y_um)))
+    samples = 0
     for record, start in zip(records, starts, strict=True):
         residual = candidate.residual(record, start)
         squares += np.sum(residual**2, axis=1)
+        largest = np.maximum(largest, np.abs(residual).max(axis=1))
         samples += residual.shape[1]
         power += np.var(record.y_um[:, start.first :], axis=1) * residual.shape[1]
     rms = np.sqrt(squares / samples)
     percent = 100.0 * rms / ranges(records, starts)
     relative = 100.0 * np.sqrt(squares / np.maximum(power, np.finfo(float).tiny))
-    return Score(tuple(percent.tolist()), tuple(rms.tolist()), tuple(relative.tolist()))
+    return Score(*(tuple(found.tolist()) for found in (percent, rms, relative, largest)))
 
 
 def invertibility_of(

@@ -234,9 +234,9 @@ def ringing(record: Record, loops: Sequence[Loop]) -> str | None:
         least = max(CLEAR * noise_rms(y), RINGS_SHARE * largest.height_um)
         clear = [np.signbit(swing[np.abs(swing) > least]) for swing in swings]
         turns = sum(int(np.count_nonzero(np.diff(sign))) for sign in clear)
-        if branches and turns >= SWINGS * len(branches):
+        if swings and turns >= SWINGS * len(swings):
             size = max(float(swing.std()) for swing in swings)
-            hertz = 0.5 * turns / (largest.samples * record.sample_time_s)
+            hertz = 0.5 * turns / (sum(map(len, swings)) * record.sample_time_s)
             return (
                 f"{largest.output} and {name}: the output rings near {hertz:.3g} Hz ({size:.2g} um rms): "
                 "widths and areas include it. Use a lower frequency, or sines in place of triangles"
