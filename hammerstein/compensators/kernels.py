@@ -94,7 +94,9 @@ def to_sent(drive, frame, sent):  # type: ignore[no-untyped-def]
 
     frame : (4, m) origin of the reference, working point, lowest and highest voltage
     """
-    moved, sound = np.any(frame[1, : sent.shape[0]]), True
+    moved, sound = False, True
+    for k in range(sent.shape[0]):
+        moved = moved or frame[1, k] != 0.0
     for k in range(sent.shape[0]):
         sent[k] = drive[k, 0]
         if moved:

@@ -33,7 +33,7 @@ def against_forward(bench, law, model, name, required):
 
 
 def test_exact_inverse_against_the_forward_model(bench, published):
-    against_forward(bench, ExactInverseLaw(published, 10.0), published, "exact_inverse", 15.0)
+    against_forward(bench, ExactInverseLaw(published, 10.0), published, "exact_inverse", 9.0)
 
 
 def test_inverse_multiplicative_against_the_forward_model(bench, published):

@@ -293,7 +293,9 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         left, (w, here) = away.copy(), loaded(*self._design, start.stack, start.hand)
         given = (v_um, self.n_inputs - p, *(recovery or Recovery.none(p)), left, w, here)
         drive = filled(respond_exact, *given, shape=(self.n_inputs, v_um.shape[1]))
-        return drive, ExactState(*unloaded(w, here, start.stack, start.hand)), left
+        after = ExactState(np.empty(start.stack.shape), np.empty(start.hand.shape))
+        unloaded(w, here, after.stack, after.hand)
+        return drive, after, left
 
 
 @singledispatch

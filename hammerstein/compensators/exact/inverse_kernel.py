@@ -54,16 +54,22 @@ def respond_exact(reference, virtual, a, b, gain, x, w, here, first, stop, drive
     Behind a linear block (a (n, n), b (n, p)), x (n,) is how far its state is from the one that belongs to
     the reference, as it is after the range was reached; ``reference - gain x`` is asked for until it is not.
     """
+    p = reference.shape[0]
     new = np.empty(x.shape[0])
-    away = np.any(x)
+    away = False
+    for s in range(x.shape[0]):
+        away = away or x[s] != 0.0
     ready = resume(w, here)
     for t in range(first, stop):
         ask(reference, t, gain, x, away, here)
         if not (ready and stay(w, here)):
             ready = walk(ready, virtual, w, here)
+            for o in range(p):
+                away = away or (here[o].missed != 0.0 and x.shape[0] > 0)
         for k in range(drive.shape[0]):
             drive[k, at(t)] = here[k].u
-        away = drift(reference, t, a, b, x, new, away, here)
+        if away:
+            away = drift(reference, t, a, b, x, new, w, here)
 
 
 @compiled(error_model="numpy")
@@ -81,7 +87,8 @@ def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-unt
     if sound:
         respond_exact(reference, m - p, none, np.empty((0, p)), np.empty((p, 0)), away, w, here, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
-    after, held = unloaded(w, here, stack, hand)
+    after, held = np.empty(stack.shape), np.empty(hand.shape)
+    unloaded(w, here, after, held)
     return sent, after, held, sound
 
 
@@ -101,15 +108,13 @@ def loaded(table, about, stack, hand):  # type: ignore[no-untyped-def]
 
 @compiled(error_model="numpy")
 def unloaded(w, here, stack, hand):  # type: ignore[no-untyped-def]
-    """Memory in the tables of a run, as another stack and hand of this size."""
-    after, held = np.empty(stack.shape), np.empty(hand.shape)
+    """Put the memory of the tables of a run into stack and hand."""
     for k in range(axes_of(here)):
         for s in range(stack.shape[1]):
-            after[k, s, END], after[k, s, X], after[k, s, D] = w[k, s].end, w[k, s].x, w[k, s].d
+            stack[k, s, END], stack[k, s, X], stack[k, s, D] = w[k, s].end, w[k, s].x, w[k, s].d
             for o in range(axes_of(here)):
-                after[k, s, BELOW + o] = w[k, s].below[o]
-        held[k, COUNT], held[k, WANTED], held[k, RAMP] = here[k].count, here[k].wanted, here[k].ramp
-    return after, held
+                stack[k, s, BELOW + o] = w[k, s].below[o]
+        hand[k, COUNT], hand[k, WANTED], hand[k, RAMP] = here[k].count, here[k].wanted, here[k].ramp
 
 
 @helper(error_model="numpy", forceinline=True)
@@ -123,15 +128,8 @@ def ask(reference, t, gain, x, away, here):  # type: ignore[no-untyped-def]
 
 
 @helper(error_model="numpy")
-def drift(reference, t, a, b, x, new, away, here):  # type: ignore[no-untyped-def]
-    """Move the distance x of the linear block by one sample; False once it is gone.
-
-    away : whether it has one; it is given one where the range keeps it off its path
-    """
-    for o in range(reference.shape[0]):
-        away = away or (here[o].missed != 0.0 and x.shape[0] > 0)
-    if not away:
-        return False
+def drift(reference, t, a, b, x, new, w, here):  # type: ignore[no-untyped-def]
+    """Move the distance x of the linear block by one sample; False once it is gone."""
     for s in range(x.shape[0]):
         new[s] = 0.0
         for q in range(x.shape[0]):
@@ -305,7 +303,10 @@ def _fix_one(virtual, w, here):  # type: ignore[no-untyped-def]
     for o in range(m):
         gain = here[worst].gain[o]
         size = gain + (1e12 if o >= m - virtual and gain > 0.0 else 0.0)
-        if size > most and not np.any(here["fixed"] == o):
+        taken = False
+        for k in range(m):
+            taken = taken or here[k].fixed == o
+        if not taken and size > most:
             row, most = o, size
     here[worst].fixed = row
     low, high = _ends(w, here, worst)

@@ -34,8 +34,10 @@ def respond_exact_preisach(  # type: ignore[no-untyped-def]
     rest, low, high, size, cells, node, _ = plane
     (count, x, tip, last), sent = memory, w["x"][:, 0].copy()
     m, p = drive.shape[0], reference.shape[0]
-    new, off = np.empty(away.shape[0]), np.any(away)
+    new, off = np.empty(away.shape[0]), False
     value, slope, ends = np.empty(p), np.empty(p), np.empty((m, 2))
+    for s in range(away.shape[0]):
+        off = off or away[s] != 0.0
     for t in range(first, stop):
         ask(reference, t, gain, away, off, here)
         for most in (1, w.shape[1]):
@@ -44,6 +46,8 @@ def respond_exact_preisach(  # type: ignore[no-untyped-def]
             walk(False, 0, w, here)
             if _holds(here, ends):
                 break
+        for o in range(p):
+            off = off or (here[o].missed != 0.0 and away.shape[0] > 0)
         for k in range(m):
             drive[k, t] = sent[k] = here[k].u
             top, z = count[k] - 1, min(max(sent[k] + rest[k], low[k]), high[k])
@@ -51,7 +55,8 @@ def respond_exact_preisach(  # type: ignore[no-untyped-def]
                 i, rises = level_below(last[k], low[k], size[k], cells[k]), top % 2 == 0
                 begin = branch(k, x[k, top], tip[k, top], rises, i, low, size, cells, node, value, slope)
                 count[k] = moved(k, z, top, begin, value, slope, x, tip, last) + 1
-        off = drift(reference, t, a, b, away, new, off, here)
+        if off:
+            off = drift(reference, t, a, b, away, new, w, here)
 
 
 @helper(error_model="numpy")
@@ -141,10 +146,12 @@ def respond_exact_rate(reference, a, b, gain, x, w, here, grid, bank, memory, fi
     grid : sample time and poles; bank : n, r, b, lam and w of the plays; memory : plays, last voltages, rates
     """
     (sample_time, pole), (n, r, grow, lam, weights), (plays, last, rate) = grid, bank, memory
-    m = drive.shape[0]
-    new, away = np.empty(x.shape[0]), np.any(x)
+    m, p = drive.shape[0], reference.shape[0]
+    new, away = np.empty(x.shape[0]), False
     reach, (events, bend) = np.zeros(r.shape), np.empty((2, 2 * r.shape[1]))
     owner, order = np.empty(2 * r.shape[1], np.int64), np.arange(2 * r.shape[1])
+    for s in range(x.shape[0]):
+        away = away or x[s] != 0.0
     for t in range(first, stop):
         for k in range(m):
             next_rate(k, sample_time, pole, last, rate)
@@ -154,13 +161,16 @@ def respond_exact_rate(reference, a, b, gain, x, w, here, grid, bank, memory, fi
             here[k].wanted = w[k, 0].x
         ask(reference, t, gain, x, away, here)
         walk(False, 0, w, here)
+        for o in range(p):
+            away = away or (here[o].missed != 0.0 and x.shape[0] > 0)
         for k in range(m):
             u = here[k].u
             drive[k, t] = u
             for i in range(n[k]):
                 plays[k, i] = max(u - reach[k, i], min(u + reach[k, i], plays[k, i]))
             last[k, 1], last[k, 0] = last[k, 0], u
-        away = drift(reference, t, a, b, x, new, away, here)
+        if away:
+            away = drift(reference, t, a, b, x, new, w, here)
 
 
 @helper(error_model="numpy")

@@ -79,5 +79,6 @@ def step_path(  # type: ignore[no-untyped-def]
         back, into, gain = recovery
         respond_exact(v, m - p, back, into, gain, left, w, here, 0, 1, drive)
         sound = to_sent(drive, frame, sent)
-    after, held = unloaded(w, here, stack, hand)
+    after, held = np.empty(stack.shape), np.empty(hand.shape)
+    unloaded(w, here, after, held)
     return sent, references[:, 1:].copy(), path[:, 1:].copy(), moving, left, after, held, sound
