@@ -216,7 +216,9 @@ def _put(content: Any, key: str, value: float, name: str) -> None:
     place = content
     try:
         for step in steps:
-            found: Any = _STEP.fullmatch(step)  # nothing, of which no part can be taken, for another form
+            found = _STEP.fullmatch(step)
+            if found is None:
+                raise KeyError(step)
             place = place.setdefault(found[1], {}) if found[2] is None else place[found[1]][int(found[2]) - 1]
         if not last.isidentifier() or isinstance(place.get(last), str | list | dict | bool):
             raise KeyError(last)
