@@ -24,6 +24,8 @@ from hammerstein.model import HammersteinModel
 from hammerstein.quantities import length
 from hammerstein.validation import mistakes_of
 
+LARGEST_OF_NOISE = 4.5
+"""Rms of noise, times this: one of 150,000 samples is farther from zero."""
 WIDER = 100.0
 """Spans beyond each end that a drive may use which shows what a path needs."""
 LawLike = str | Compensator
@@ -153,6 +155,14 @@ def model_error_um(model: HammersteinModel) -> Array | None:
     return np.sqrt(np.maximum(stated**2 - np.square(verdict.noise_um or 0.0), 0.0))
 
 
+def _largest_um(model: HammersteinModel) -> Array | None:
+    """Largest error of the model (p,) on these records [um], without the largest that their noise makes."""
+    verdict = model.verdict
+    if verdict is None or len(verdict.largest_um) != len(model.outputs):
+        return None
+    return np.array(verdict.largest_um) - LARGEST_OF_NOISE * np.array(verdict.noise_um)
+
+
 def model_statement(model: HammersteinModel) -> str:
     """Error of the model, which comes on top of that of a drive for the model."""
     own = model_error_um(model)
@@ -172,7 +182,7 @@ class Prediction:
 
     path : of the drive if the actuator were exactly the model; most : the largest error of that kind
     model : of the model about its mean, None where untested; validated : whether on a validation record
-    largest : error of the model there, with noise; None where it is not known
+    largest : error of the model there, see ``_largest_um``
     rest : of the position at rest, from which a path counts; None where no record began at rest
     converter : of rounding to steps, uniformly distributed; noise : of the sensor
     """
@@ -193,12 +203,11 @@ class Prediction:
         volts = float(half.max()) if np.isfinite(half).all() else 1.0
         step_v = model.instruments.drive.resolution_v / np.sqrt(12.0)
         rest_um = () if verdict is None else verdict.rest_um
-        largest = () if verdict is None else verdict.largest_um
         return cls(
             path=attempt.path_rms_um,
             most=attempt.path_error_um,
             model=model_error_um(model),
-            largest=np.array(largest) if len(largest) == len(model.outputs) else None,
+            largest=_largest_um(model),
             validated=verdict is not None and verdict.held_out,
             rest=np.array(rest_um) if len(rest_um) == len(model.outputs) else None,
             converter=np.asarray(step_v * np.abs(model.gain(volts)).sum(axis=1)),
@@ -240,7 +249,8 @@ class Prediction:
             parts, more = [*parts, "model untested"], " without the error of the model"
         else:
             where = "validation" if self.validated else "fitted"
-            most = "" if self.largest is None else f", at most {self.largest[o]:.2g}"
+            largest = 0.0 if self.largest is None else self.largest[o]
+            most = f", at most {largest:.2g}" if largest > self.model[o] else ""
             parts.append(f"model {self.model[o]:.2g}{most} on {where} records")
             more = " plus an untested constant offset" if self.rest is None else ""
         parts += ["rest position untested"] if self.rest is None else [f"rest position {self.rest[o]:.2g}"]

@@ -497,5 +497,7 @@ def test_an_untested_rest_position_is_no_part_of_the_expected_error():
     known = Prediction(np.zeros(1), np.zeros(1), np.array([0.13]), np.ones(1), True, None, np.zeros(1), 0.0)
     assert "x 0.13 um plus an untested constant offset (path 0, " in known.statement(("x",))
     assert "model 0.13, at most 1 on validation records" in known.statement(("x",))
+    noise = dataclasses.replace(known, largest=np.array([-0.02]))  # less than noise alone makes
+    assert "model 0.13 on validation records" in noise.statement(("x",))
     path = dataclasses.replace(known, path=np.array([1.2e-5])).statement(("x",))
     assert "(path 0.00001, " in path
