@@ -126,6 +126,20 @@ def test_poles_of_small_amplitudes_count_too():
     assert humming.fastest(0.0)[0] == pytest.approx([0.08], rel=1e-12)
 
 
+def test_poles_where_one_path_moves_alone_count_too():
+    """Two paths of one play, c (p - beta z) each, on a pole of 0.9 in one coordinate.
+
+    At rest the pole is 0.9 - 0.05 = 0.85, with both 0.85 + 0.2 - 0.1 = 0.95, with the first alone 1.05.
+    """
+    x, two = np.eye(2)[:1], np.ones((2, 1))
+    humming = LoopParameters(
+        A=np.diag([0.9, 0.0])[None], B=x.T, C=x, D=np.zeros((1, 1)), E=x.T * np.ones((1, 2)),
+        F=two * x, G=0.0 * two, H=np.zeros((0, 2)), c=np.array([[0.2], [-0.1]]), K=np.zeros((2, 0)), r=two,
+        beta=np.array([[0.25], [0.0]]), limit=np.ones(2), factors=np.zeros((0, 3), dtype=np.int64),
+    )  # fmt: skip
+    assert humming.fastest(0.0)[0] == pytest.approx([0.05], rel=1e-12)
+
+
 def test_larger_structures_begin_where_the_smaller_ended():
     """More plays, more paths, products and one move more change nothing before a search, as their w are 0."""
     truth = made_up(moves=2)

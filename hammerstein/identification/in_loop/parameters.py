@@ -137,10 +137,13 @@ class LoopParameters:
         """How far poles of the loop lie beyond 1 - margin, and the derivatives (poles, P) of that.
 
         They are those of every amplitude on the way from rest, where no play moves, to the largest, where all
-        do: the narrowest of each z move first. Were only the largest bounded, a model could hum at rest.
+        do: the narrowest of each z move first, of all z together and of each z alone. Were only the largest
+        bounded, a model could hum at rest; were they bounded together only, one path could hum alone.
         """
         order = np.argsort(np.argsort(self.r, axis=1), axis=1)
         ladder = [(order < moved).astype(np.float64) for moved in range(self.r.shape[1] + 1)]
+        if (h := len(self.r)) > 1:
+            ladder += [step * own for step in ladder[1:] for own in np.eye(h)[:, :, None]]
         found = [self._beyond(1.0 - margin, moving) for moving in ladder]
         return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
 
