@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
@@ -316,7 +316,23 @@ def _shown(value: Any) -> str:
     return f", not {value!r}" if len(repr(value)) < MOST_SHOWN else ""
 
 
-class Strict(BaseModel):
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
+
+
+class _InPython(ModelMetaclass):
+    """Values made in Python: what is wrong is one InputError. Those of a file are not made by a call."""
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        try:
+            return super().__call__(*given, **named)
+        except ValidationError as error:
+            raise InputError(self.__name__, mistakes_of(error, cast(type[BaseModel], self))) from None
+
+
+class Strict(BaseModel, metaclass=_InPython):
     """A frozen value that refuses keys that it does not know."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

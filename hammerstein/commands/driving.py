@@ -424,7 +424,10 @@ def export(
     *,
     model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,
     law: Annotated[
-        str, typer.Option(help="A law of compensate, or model: the actuator itself.")
+        str,
+        typer.Option(
+            help="A law of compensate, or model: the actuator itself; the default needs no path in advance."
+        ),
     ] = "exact_inverse",
     form: Annotated[str, typer.Option("--format", help="c: C99; fmu: the same C code as an FMU.")] = "c",
     fmi: Annotated[int | None, typer.Option(metavar="2|3", help="Write an FMU of FMI 2 or 3.")] = None,

@@ -43,7 +43,8 @@ class RecordFiles:
     """Records of one actuator, and how their files are read."""
 
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, Parquet.")
+        list[Path],
+        typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, HDF5, Parquet, .xlsx, TDMS."),
     ]
     inputs: Annotated[
         str | None,

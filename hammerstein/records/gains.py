@@ -15,6 +15,8 @@ USUAL_GAIN = 1e-3, 1e3
 """Gains of piezo actuators from shear plates to amplified stages, with room on both sides [um/V]."""
 SURE_GAIN, SURE_TRAVEL_UM = 50.0, 1000.0
 """Gain [um/V] and travel above which numbers without a unit are rather nm than um."""
+LEAST_TRAVEL_UM = 0.5
+"""Travel below which they are rather mm: most stages move 1 to 500 um."""
 ANSWERED = 0.02
 """Part of an output's power that the voltages explain, below which it is noise or another signal."""
 SLOW_HZ, FINE = 100.0, 100
@@ -213,11 +215,15 @@ def doubtful_units(gains: Sequence[Gain]) -> list[str]:
     []
     >>> print(doubtful_units([Gain("u", "x", 100.0, 88000.0, 813.0)])[0])
     x has no unit; in um it would travel 88 mm, 813 um for each V of u
-    >>> print(doubtful_units([Gain("u", "x", 100.0, 0.09, 0.0009)])[0])
-    x has no unit; in um it would travel 0.09 um, 0.0009 um for each V of u
+    >>> print(doubtful_units([Gain("u", "x", 10.0, 0.09, 0.009)])[0])
+    x has no unit; in um it would travel 0.09 um, 0.009 um for each V of u
     """
     large = [gain for gain in gains if abs(gain.um_per_v) > SURE_GAIN or gain.span_um > SURE_TRAVEL_UM]
-    small = [gain for gain in _strongest(gains) if abs(gain.um_per_v) < USUAL_GAIN[0]]
+    small = [
+        gain
+        for gain in _strongest(gains)
+        if abs(gain.um_per_v) < USUAL_GAIN[0] or gain.span_um < LEAST_TRAVEL_UM
+    ]
     return [
         f"{gain.output} has no unit; in um it would travel {_travel(gain.span_um)}, "
         f"{abs(gain.um_per_v):.3g} um for each V of {gain.input}"

@@ -48,7 +48,7 @@ CAPTIONS = {
     "mean of the measured cycles.",
     "errors": "The legend gives the worst error of all measured cycles.",
     "drift": "Mean error of the true position over each measured cycle, for the driven axis.",
-    "path": "Short dashes: the reference or prediction. The legend gives the worst distance of all cycles.",
+    "path": "The legend gives the worst distance of all cycles.",
 }
 
 IS_TRUE = '"True" is the actuator\'s position, without the sensor.'
@@ -232,6 +232,7 @@ def figure_of(name: str, report: Report) -> Shown:
         "loops": ["The wide grey line is the ideal response.", _lag(report)] * compared
         + ["Dark dashes show the models."] * bool(models and len(models) <= MOST_OVERLAYS),
         **dict.fromkeys(("sweep", "sweep_true"), identified + banded + behind),
+        "path": [f"Short dashes: the {'reference' if compared else 'prediction'}."],
         "trials_true": banded,
         "trials": banded,
         "errors": [READS_TRUTH if report.reads_truth else IS_TRUE if compared else NOT_PREDICTED]

@@ -31,6 +31,7 @@ MOST_ROWS = 8  # compensators or models in the table
 MOST_LABELS = 3  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 NEVER_SETTLES = "does not settle in"  # of one that says that more cycles do not help
+DRIVE_CUT = "the drive's range clipped"  # in statements of a run
 SENSOR_CUT = "the sensor's range clipped"  # those of another
 DIVERGES = "does not converge: slopes"  # the same
 FLAGGED = ": flagged by its fit report"  # the same
@@ -300,6 +301,13 @@ def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:
     return {(r.compensator if compared else "", r.excited_axis, Condition.of(r)): r for r in report.rows}
 
 
+def _clipped(report: Report, words: str, what: str) -> str:
+    """Sentence on runs that a range clipped; empty if it clipped none."""
+    texts, runs = [text for text in report.statements if words in text], len(_runs(report))
+    named = f": {_grouped(texts)}" if len(texts) < runs else ""
+    return f"{what} in {len(texts)} of {runs} runs{named}." if texts else ""
+
+
 def _conduct(report: Report) -> Iterator[str]:
     """Whether the drive's range was enough, and whether what repeats had settled."""
     if any(ITSELF in text for text in report.statements):
@@ -308,13 +316,9 @@ def _conduct(report: Report) -> Iterator[str]:
         yield f"Flagged by {'its' if len(flagged) == 1 else 'their'} fit report: {', '.join(flagged)}."
     if any(GUESSED in text for text in report.statements):
         yield "The voltages exceed the records of the simulated actuator: its motion there is extrapolated."
-    runs = _runs(report)
-    cut = sum(bool(row.saturated_samples) for row in runs.values())
-    clipped = sum(SENSOR_CUT in statement for statement in report.statements)
-    some = f"The drive's range clipped the voltage in {cut} of {len(runs)} runs."
-    yield some if cut else "No voltage was clipped."
-    if clipped:
-        yield f"The sensor's range clipped the reading in {clipped} of {len(runs)} runs."
+    yield _clipped(report, DRIVE_CUT, "The drive's range clipped the voltage") or "No voltage was clipped."
+    if reading := _clipped(report, SENSOR_CUT, "The sensor's range clipped the reading"):
+        yield reading
     signal = report.scenario.signal
     if unsettled := unsettled_runs(report):
         yield unsettled

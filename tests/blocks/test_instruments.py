@@ -2,9 +2,9 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from hammerstein.blocks.instruments import Drive, Instruments, Sensor
+from hammerstein.errors import InputError
 
 
 def test_drive_clips_counts_and_rounds():
@@ -59,5 +59,5 @@ def test_published_set_up_is_the_default():
     "wrong", [{"range_v": -1.0}, {"resolution_v": -0.1}, {"sample_time_s": 0.0}, {"rng": 1}]
 )
 def test_drive_refuses(wrong):
-    with pytest.raises(ValidationError):
+    with pytest.raises(InputError, match=next(iter(wrong))):
         Drive(**wrong)

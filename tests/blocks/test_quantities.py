@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from hammerstein.blocks.instruments import Drive, Sensor
 from hammerstein.commands.start import guide_pages
+from hammerstein.errors import InputError
 from hammerstein.model import ModelFile
 from hammerstein.quantities import BANDWIDTH_HZ, FREQUENCY_HZ
 from hammerstein.scenario import Scenario, load_scenario
@@ -52,9 +53,9 @@ def test_a_resolution_is_none_or_one_that_numbers_have(resolution):
         np.full((1, 1), 20.0), np.random.default_rng(0)
     ) == pytest.approx(20)
     for finer in (5e-324, 1e-300, 1e-13):
-        with pytest.raises(ValidationError, match="must be 0, or 1e-12 to 1e6"):
+        with pytest.raises(InputError, match="must be 0, or 1e-12 to 1e6"):
             Sensor(resolution_um=finer)
-        with pytest.raises(ValidationError, match="must be 0, or 1e-12 to 1e6"):
+        with pytest.raises(InputError, match="must be 0, or 1e-12 to 1e6"):
             Drive(resolution_v=finer)
 
 
@@ -106,7 +107,6 @@ agreement = { at_most = 1 }
     ],
 )
 def test_a_number_beyond_its_physics_is_refused_with_its_limits(tmp_path, old, new, where):
-    from hammerstein.errors import InputError
 
     assert old in BASE
     path = tmp_path / "s.toml"
@@ -129,7 +129,6 @@ def test_a_number_beyond_its_physics_is_refused_with_its_limits(tmp_path, old, n
     ],
 )
 def test_files_that_no_parser_likes_are_one_message(tmp_path, text):
-    from hammerstein.errors import InputError
 
     path = tmp_path / "s.toml"
     path.write_text(text)

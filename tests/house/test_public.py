@@ -163,3 +163,13 @@ def test_bouc_wen_blocks_are_compared_too():
     a, b = (hammerstein.BoucWen([[hammerstein.BoucWenPair(2.0, d, 0.1, 0.05)]]) for d in (0.5, 0.6))
     assert a != b
     assert a == hammerstein.BoucWen(a.pairs)
+
+
+def test_what_is_wrong_in_python_is_said_as_of_a_file():
+    """One message in plain words with the nearest name, and no link to another project's pages."""
+    with pytest.raises(hammerstein.InputError) as raised:
+        hammerstein.Axis(resonanc_hz=3.0, delay_s=-1.0)
+    said = str(raised.value)
+    assert said.startswith("Axis: 2 mistakes")
+    assert "did you mean resonance_hz?" in said
+    assert "pydantic" not in said

@@ -228,6 +228,10 @@ def test_answer_describes_loops_where_there_is_nothing_to_compare_with() -> None
 def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     cut = report_of(drive=SINE_V, instruments={"drive": {"range_v": 8.0}})
     assert "The drive's range clipped the voltage in 2 of 2 runs." in answer(cut)
+    some = report_of(
+        drive=SINE_V, instruments={"drive": {"range_v": 8.0}}, sweep={"amplitude_v": [5.0, 8.0, 9.0, 10.0]}
+    )
+    assert "clipped the voltage in 4 of 8 runs: duo_bimorph_static (4 runs, 9 to 10 V)." in answer(some)
     hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
     said = answer(hurried)
     assert "No run had settled. These numbers still change; " in said
