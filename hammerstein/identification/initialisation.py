@@ -1,11 +1,10 @@
 """Initialisation: initial states, delays and thresholds of the records, before a model is fitted."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hammerstein.arrays import Array
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
 from hammerstein.identification.linear.axis_search import (
@@ -31,6 +30,7 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
     ENDS,
     TURN_WORTH,
+    Predict,
     decays,
     found_starts,
     judged_starts,
@@ -81,7 +81,7 @@ def _first_starts(
 
     models = _FirstModels(records, guess, settings)
 
-    def fit(starts: Sequence[InitialState]) -> Callable[[Record, InitialState], Array]:
+    def fit(starts: Sequence[InitialState]) -> Predict:
         return models.fitted(starts).predict
 
     return found_starts(records, fit, guess.dynamics().settle_s if guess else 0.0, mode)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Identifiable
@@ -32,6 +31,7 @@ from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
 from hammerstein.identification.score import Candidate, invertibility_of, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,
+    Predict,
     alike_starts,
     closed,
     each_alone,
@@ -47,7 +47,6 @@ from hammerstein.identification.static.static_block import (
 from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.identification.static_candidates import begun_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Task
-from hammerstein.records.record import Record
 
 WITHOUT_PLAYS = ("linear", "linear_dynamics")
 MOST_TURNS = 4
@@ -366,7 +365,7 @@ def _starts_behind(
     parts = tuple(record.part(0, min(record.samples, most)) for record in task.records)
     quick, rough = replace(task, records=parts), replace(whole.block, rough=True)
 
-    def fit(starts: Sequence[InitialState]) -> Callable[[Record, InitialState], Array]:
+    def fit(starts: Sequence[InitialState]) -> Predict:
         begun = replace(quick, starts=tuple(starts))
         return _before(begun, thresholds_v, whole.behind, rough).candidate.predict
 

@@ -159,9 +159,8 @@ def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
             )
         ]
     gaps = np.flatnonzero(steps > 1.5 * typical)
-    short = np.count_nonzero(
-        steps < 0.5 * typical
-    )  # with jitter, long and short steps make up for each other
+    # with jitter, long and short steps make up for each other
+    short = np.count_nonzero(steps < 0.5 * typical)
     if 2 * short < gaps.size <= max(FEW_GAPS * len(steps), 1):
         listed = [_time_gap(name, time_s, rows, int(k), typical) for k in gaps[:SHOWN]]
         return listed + not_listed(where(name), gaps.size, "gaps further down")

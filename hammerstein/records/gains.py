@@ -219,11 +219,7 @@ def doubtful_units(gains: Sequence[Gain]) -> list[str]:
     x has no unit; in um it would travel 0.09 um, 0.009 um for each V of u
     """
     large = [gain for gain in gains if abs(gain.um_per_v) > SURE_GAIN or gain.span_um > SURE_TRAVEL_UM]
-    small = [
-        gain
-        for gain in _strongest(gains)
-        if abs(gain.um_per_v) < USUAL_GAIN[0] or gain.span_um < LEAST_TRAVEL_UM
-    ]
+    small = [g for g in _strongest(gains) if abs(g.um_per_v) < USUAL_GAIN[0] or g.span_um < LEAST_TRAVEL_UM]
     return [
         f"{gain.output} has no unit; in um it would travel {_travel(gain.span_um)}, "
         f"{abs(gain.um_per_v):.3g} um for each V of {gain.input}"

@@ -368,9 +368,8 @@ def _beside_kinds(data: Mapping[str, Any], error: ValidationError) -> list[Mista
 def _parsed(text: str, path: Path) -> dict[str, Any]:
     """Content of a TOML file."""
     try:
-        if LONG_KEY.search(
-            text
-        ):  # before it is read: that takes memory with the square of the parts of a key
+        # before it is read: that takes memory with the square of the parts of a key
+        if LONG_KEY.search(text):
             raise RecursionError
         return _shallow(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:

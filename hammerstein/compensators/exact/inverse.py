@@ -231,9 +231,8 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
     @cached_property
     def _compiled_step(self) -> Any:
-        from hammerstein.compensators.exact.inverse_kernel import (
-            step_exact,  # looked up once: a step is short
-        )
+        # looked up once: a step is short
+        from hammerstein.compensators.exact.inverse_kernel import step_exact
 
         return step_exact
 

@@ -121,11 +121,9 @@ class Search:
     def _cost(self, found: LoopParameters, errors: Sequence[Array], scale: float) -> float:
         with np.errstate(all="ignore"):  # of a trial that diverged
             total = sum(float((e * e).sum()) for e in errors)
-        return (
-            total + float(((scale * found.fastest(self.margin)[0]) ** 2).sum())
-            if np.isfinite(total)
-            else total
-        )
+        if not np.isfinite(total):
+            return total
+        return total + float(((scale * found.fastest(self.margin)[0]) ** 2).sum())
 
     @np.errstate(all="ignore")  # derivatives may diverge
     def _normal(

@@ -14,6 +14,10 @@ from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record, driven_inputs, moves_while_held, run_in
 from hammerstein.records.turning_points import noise_rms
 
+Predict = Callable[[Record, InitialState], Array]
+"""Readings (output, sample) that a model predicts for a record [um]."""
+FitWith = Callable[[Sequence[InitialState]], Predict]
+"""A model fitted to records with given initial states."""
 CLOSED_V = 0.01  # part of the range of the voltage
 CLOSED_UM = 0.02
 """Parts of the range by which the ends of a closed record may differ."""
@@ -75,10 +79,10 @@ def closed(record: Record) -> bool:
 
 def judged_starts(
     records: Sequence[Record],
-    predict: Callable[[Record, InitialState], Array],
+    predict: Predict,
     settle_s: float,
     mode: InitialStateMode = "auto",
-    simpler: Sequence[Callable[[Record, InitialState], Array]] = (),
+    simpler: Sequence[Predict] = (),
     slow_s: float = 0.0,
 ) -> tuple[InitialState, ...]:
     """Initial state of each record for a given model: the one with the least error.
@@ -104,7 +108,7 @@ def judged_starts(
 def own_starts(
     records: Sequence[Record],
     starts: Sequence[InitialState],
-    predict: Callable[[Record, InitialState], Array],
+    predict: Predict,
     mode: InitialStateMode = "auto",
     slow_s: float = 0.0,
 ) -> tuple[InitialState, ...]:
@@ -118,9 +122,7 @@ def own_starts(
     return tuple(_own(record, start, predict, slow_s) for record, start in zip(records, starts, strict=True))
 
 
-def _own(
-    record: Record, start: InitialState, predict: Callable[[Record, InitialState], Array], slow_s: float
-) -> InitialState:
+def _own(record: Record, start: InitialState, predict: Predict, slow_s: float) -> InitialState:
     if record.period_samples is not None or (start.kind == "repeated" and closed(record)):
         return start
     choices = dict.fromkeys([start, *(replace(_of_kind(kind, record), first=start.first) for kind in KINDS)])
@@ -140,10 +142,10 @@ def _own(
 
 def _judged(
     record: Record,
-    predict: Callable[[Record, InitialState], Array],
+    predict: Predict,
     settle_s: float,
     mode: InitialStateMode,
-    simpler: Sequence[Callable[[Record, InitialState], Array]],
+    simpler: Sequence[Predict],
     slow_s: float,
 ) -> InitialState:
     """Initial state with the least error; it excludes the beginning of the record if none explains it."""
@@ -181,9 +183,7 @@ def _around(error: Array, begun: int, first: int) -> tuple[Array, Array]:
     )
 
 
-def _least(
-    record: Record, predict: Callable[[Record, InitialState], Array], slow_s: float = 0.0
-) -> InitialState:
+def _least(record: Record, predict: Predict, slow_s: float = 0.0) -> InitialState:
     """Of all that may have gone before, what leaves the least error; a simpler past is preferred."""
     left = partial(_left, record, predict)
     order = ("stepped", "rest", "virgin") if moves_while_held(record) else ("rest", "virgin", "stepped")
@@ -200,7 +200,7 @@ def _least(
     return start
 
 
-def _left(record: Record, predict: Callable[[Record, InitialState], Array], start: InitialState) -> float:
+def _left(record: Record, predict: Predict, start: InitialState) -> float:
     """Mean squared error of a whole record relative to its ranges, excluded samples included."""
     span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
     error = (record.y_um - predict(record, start)) / span[:, None]
@@ -324,7 +324,7 @@ def _of_kind(kind: str, record: Record) -> InitialState:
 
 def found_starts(
     records: Sequence[Record],
-    fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
+    fit: FitWith,
     settle_s: float,
     mode: InitialStateMode = "auto",
 ) -> tuple[InitialState, ...]:
@@ -361,7 +361,7 @@ def found_starts(
 def each_alone(
     records: Sequence[Record],
     starts: tuple[InitialState, ...],
-    fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
+    fit: FitWith,
     numbers: Sequence[int],
 ) -> tuple[InitialState, ...]:
     """Change the initial state of one record after the other, if the model fitted then has a smaller error.
@@ -394,11 +394,7 @@ def unexplained(records: Sequence[Record], starts: Sequence[InitialState]) -> li
     ]
 
 
-def _error_of(
-    records: Sequence[Record],
-    starts: tuple[InitialState, ...],
-    fit: Callable[[Sequence[InitialState]], Callable[[Record, InitialState], Array]],
-) -> float:
+def _error_of(records: Sequence[Record], starts: tuple[InitialState, ...], fit: FitWith) -> float:
     """Mean squared error of whole records with these initial states; infinite where no model can be fitted.
 
     With an assumed initial state, the plays of two inputs may never move, so that the records seem not to
@@ -411,11 +407,7 @@ def _error_of(
     return whole_error(records, starts, predict)
 
 
-def whole_error(
-    records: Sequence[Record],
-    starts: Sequence[InitialState],
-    predict: Callable[[Record, InitialState], Array],
-) -> float:
+def whole_error(records: Sequence[Record], starts: Sequence[InitialState], predict: Predict) -> float:
     """Mean squared error of whole records in parts of their ranges, whatever the starts leave out."""
     parts = [_left(record, predict, start) for record, start in zip(records, starts, strict=True)]
     return float(np.mean(parts))
