@@ -161,7 +161,8 @@ with staged(Path(sys.argv[1]), Owner("x")) as stage:
             write(folder, NEW)
         other.kill()
         other.wait()
+    monkeypatch.setattr(staging, "PATIENCE_S", 60.0)
     begun = time.monotonic()
     write(folder, NEW)
-    assert time.monotonic() - begun < 0.3
+    assert time.monotonic() - begun < 30.0
     assert read(folder) == NEW
