@@ -8,8 +8,8 @@ import made_up
 import numpy as np
 
 from hammerstein.errors import HammersteinError
+from hammerstein.identification.excitation import counted
 from hammerstein.identification.identify import identify
-from hammerstein.identification.recorded import counted
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import judged_starts

@@ -10,7 +10,13 @@ import numpy as np
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.axes_candidates import build_axes
-from hammerstein.identification.excitation import refuse_noise, refuse_one_way, responses
+from hammerstein.identification.excitation import (
+    counted,
+    refuse_noise,
+    refuse_one_way,
+    responses,
+    voltages_of,
+)
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.fit_report import Errors, fit_of, model_of
 from hammerstein.identification.initialisation import first_task, start_mode
@@ -19,7 +25,6 @@ from hammerstein.identification.model_selection import Trial, chosen, trial_of
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.parameter_covariance import parameter_covariance
-from hammerstein.identification.recorded import counted, voltages_of
 from hammerstein.identification.score import Score, invertibility_of, score
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings

@@ -11,8 +11,8 @@ from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics, discretise
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii, identifiable
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.invertibility import invertibility
+from hammerstein.identification.excitation import counted
 from hammerstein.identification.identify import identify
-from hammerstein.identification.recorded import counted
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static

@@ -7,7 +7,7 @@ from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification import initialisation
-from hammerstein.identification.recorded import counted, voltages_of
+from hammerstein.identification.excitation import counted, voltages_of
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
