@@ -1,13 +1,16 @@
 """The page of the mirror: what its fit may read, and what its table is made of."""
 
 import importlib.util
+import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from identification.test_in_loop import made_up, multisine
 
 from hammerstein import HammersteinModel
+from hammerstein.identification.model_selection import Trial
 
 PAGE = Path(__file__).parents[2] / "reports" / "measured" / "one_model" / "make.py"
 SECOND = 1.0 / 6400.0
@@ -33,17 +36,21 @@ def write(folder, parts, error_um=0.0):
             np.save(folder / f"{axis}_{level}mV_{part}.npy", np.transpose(periods, (2, 1, 0, 3)))
 
 
-def test_the_fit_needs_no_test_records(one_model, tmp_path):
-    """They are not there; it fits all training records, and lowers their error."""
+def test_the_fit_reads_the_training_records_alone(one_model, tmp_path, monkeypatch):
+    """Test records are not there; the model and every structure that was tried are written."""
     write(tmp_path, ["train"])
-    truth, search = made_up(), tmp_path / "search.json"
-    truth.at(truth.vector() * 1.02).save(search)
-    one_model.fit(tmp_path, search, 0.0)
-    found = HammersteinModel.load(tmp_path / "model.json")
-    u, y = one_model.records(tmp_path, 300, "train")
-    before = truth.at(truth.vector() * 1.02).model("before", SECOND, 1.5, ["u1", "u2"], ["y1", "y2"])
-    left = [float((y - one_model.simulated(model, u)).std()) for model in (before, found)]
-    assert left[1] < 0.5 * left[0]
+    truth = made_up().model("truth", SECOND, 1.5, ["u1", "u2"], ["y1", "y2"])
+    tried = [Trial("linear", 9, np.array([4e-4])), Trial("plays", 12, np.array([1e-4]), kept=True)]
+    monkeypatch.setattr(
+        one_model, "identify_in_loop", lambda *asked, **more: (truth, SimpleNamespace(trials=tried))
+    )
+    one_model.fit(tmp_path, 1.0)
+    assert HammersteinModel.load(tmp_path / "model.json").dynamics == truth.dynamics
+    kept = json.loads((tmp_path / "trials.json").read_text())
+    assert one_model.structures(kept["trials"]).splitlines()[2:] == [
+        "| linear | 2 % |",
+        "| **plays** | 1 % |",
+    ]
 
 
 def test_training_records_are_those_of_all_levels_with_both_periods(one_model, tmp_path):
@@ -61,11 +68,11 @@ def test_the_table_is_the_error_of_the_test_records(one_model, tmp_path):
     write(tmp_path, ["test"], 0.25)
     truth = made_up().model("truth", SECOND, 1.5, ["u1", "u2"], ["y1", "y2"])
     truth.save(tmp_path / "model.json")
-    one_model.write_alone(truth, tmp_path, "plays", 120.0)
-    (tmp_path / "notes.md").write_text("{table}")
+    (tmp_path / "trials.json").write_text('{"minutes": 2, "trials": []}')
+    (tmp_path / "notes.md").write_text("{table} in {minutes} minutes {structures}")
     one_model.write_table(tmp_path)
     text = (tmp_path / "README.md").read_text()
     assert "| **this model, test records** | 0.250 | 0.250 | 0.250 |" in text
     assert "| this model, training records | 0.000 | 0.000 | 0.000 |" in text
-    assert "| found with defaults in 2 minutes, test records | 0.250 | 0.250 | 0.250 |" in text
+    assert "in 2 minutes" in text
     assert "| noise of one period, test records | 0.000 | 0.000 | 0.000 |" in text

@@ -1,25 +1,20 @@
-"""One model of the fine steering mirror for every amplitude: fit it further, or write the benchmark's table.
+"""One model of the fine steering mirror for every amplitude: identify it, or write the benchmark's table.
 
+    python reports/measured/one_model/make.py fit FOLDER [MINUTES]
     python reports/measured/one_model/make.py table FOLDER
-    python reports/measured/one_model/make.py fit FOLDER SEARCH [MINUTES]
-    python reports/measured/one_model/make.py alone FOLDER [MINUTES]
 
-FOLDER holds the records of github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0). ``fit`` reads the training
-records alone, goes on from the numbers in SEARCH, and writes them there after every step. ``alone`` does what
-``hammerstein identify --hysteresis-in-loop`` does with the training records, and writes the errors of its
-model into alone.json beside this file. ``table`` prints the table, and writes README.md and table.json. Only
-the last two read the test records, once there is nothing left to choose.
+FOLDER holds the records of github.com/merijnfloren/fsm-benchmark-data (CC BY 4.0). ``fit`` does what
+``hammerstein identify --hysteresis-in-loop`` does with the training records, and writes model.json and
+trials.json, the structures that were tried. ``table`` prints the table, and writes README.md and table.json.
+It alone reads the test records, once there is nothing left to choose.
 """
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,20 +22,14 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.instruments import Drive
 from hammerstein.dynamics import on_grid
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 
 HERE = Path(__file__).parent
 LEVELS_MV = (100, 200, 300)
 TIME_S = 1.0 / 6400.0
-LARGEST_V = 1.5
-WEIGHTS_PER_UM = (1 / 0.1, 1 / 0.12, 1 / 0.09)
-"""What an error counts: 0.3 V moves most of the hysteresis, and tells most of it; chosen on the fold."""
 PUBLISHED = {
     "linear, a model for each level": (0.114, 0.216, 0.228),
     "one linear model for all": (0.252, 0.179, 0.658),
@@ -126,8 +115,6 @@ def table(found: dict[str, dict[str, list[Any]]]) -> str:
     rows = {f"published: {name}": list(values) for name, values in PUBLISHED.items()}
     rows["**this model, test records**"] = found["test"]["rms_um"]
     rows["this model, training records"] = found["train"]["rms_um"]
-    quick = json.loads((HERE / "alone.json").read_text(encoding="utf-8"))
-    rows[f"found with defaults in {quick['minutes']} minutes, test records"] = quick["rms_um"]["test"]
     rows["noise of one period, test records"] = found["test"]["noise_um"]
     rows["rms of the test positions"] = found["test"]["position_rms_um"]
     lines = [f"| {name} | {' | '.join(f'{v:.3f}' for v in values)} |" for name, values in rows.items()]
@@ -144,32 +131,6 @@ def table(found: dict[str, dict[str, list[Any]]]) -> str:
     return "\n".join([*head, *lines, *band_head, *over]) + "\n"
 
 
-def fit(folder: Path, file: Path, minutes: float) -> None:
-    """Go on with a search; every step is kept."""
-    periods, levels = [], []
-    for i, level in enumerate(LEVELS_MV):
-        for u, y in zip(*(a.mean(axis=1) for a in records(folder, level, "train")), strict=True):
-            periods.append(SettledPeriod(u, y, WEIGHTS_PER_UM[i]))
-            levels.append(i)
-    begun = time.monotonic()
-
-    def tell(progress: Progress) -> None:
-        progress.found.save(file)
-        rms = [np.sqrt(np.mean(progress.rms[np.array(levels) == i] ** 2)) for i in range(3)]
-        print(progress.step, np.round(rms, 4), f"{time.monotonic() - begun:.0f} s", flush=True)
-        if time.monotonic() - begun > 60.0 * minutes:
-            raise StopIteration
-
-    with ThreadPoolExecutor(2) as pool, contextlib.suppress(StopIteration):
-        Search(enough=1e-5).run(LoopParameters.load(file), periods, pool, tell)
-    found = LoopParameters.load(file)
-    inputs, outputs = ([f"{axis}{i + 1}" for i in range(len(found.C))] for axis in "uy")
-    model = found.model("fine steering mirror", TIME_S, LARGEST_V, inputs, outputs)
-    drive = Drive(sample_time_s=TIME_S, range_v=LARGEST_V)
-    instruments = model.instruments.model_copy(update={"drive": drive})
-    replace(model, instruments=instruments).save(HERE / "model.json")
-
-
 def training(folder: Path) -> list[Record]:
     """Give the training records of all levels, both periods of each."""
     found = []
@@ -181,39 +142,57 @@ def training(folder: Path) -> list[Record]:
     return found
 
 
-def alone(folder: Path, minutes: float) -> None:
-    """Identify from the training records with defaults, and write what came out."""
+def fit(folder: Path, minutes: float) -> None:
+    """Identify from the training records with defaults; write the model and what was tried."""
     begun, tell = time.monotonic(), partial(print, flush=True)
     model, fit = identify_in_loop(training(folder), LoopSettings(minutes=minutes), progress=tell)
-    write_alone(model, folder, next(one.name for one in fit.trials if one.kept), time.monotonic() - begun)
+    model.save(HERE / "model.json")
+    tried = [{"structure": one.name, "percent": one.percent, "kept": one.kept} for one in fit.trials]
+    content = {"minutes": round((time.monotonic() - begun) / 60.0), "trials": tried}
+    (HERE / "trials.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def write_alone(model: HammersteinModel, folder: Path, structure: str, seconds: float) -> None:
-    """Write the errors of a model that was identified from the training records alone."""
-    errors = {part: judged(model, folder, part)["rms_um"] for part in ("train", "test")}
-    content = {"structure": structure, "minutes": round(seconds / 60.0), "rms_um": errors}
-    (HERE / "alone.json").write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    print(content)
+def structures(tried: list[dict[str, Any]]) -> str:
+    """Lines of the table of all structures; the one that was kept is bold."""
+    lines = ["| structure | error on the selection experiments |", "| --- | ---: |"]
+    for one in tried:
+        name = f"**{one['structure']}**" if one["kept"] else one["structure"]
+        lines.append(f"| {name} | {one['percent']:.3g} % |")
+    return "\n".join(lines) + "\n"
+
+
+def rest_um(model: HammersteinModel) -> float:
+    """Rms of the last tenth of a second of two without voltage, after one of the largest records [um]."""
+    u = np.zeros((len(model.inputs), round(3.0 / TIME_S)))
+    driven = round(1.0 / TIME_S)
+    u[:, :driven] = 1e-3 * LEVELS_MV[-1] * np.random.default_rng(0).normal(size=(len(u), driven))
+    left = model.simulate(u, TIME_S).position_um[:, -round(0.1 / TIME_S) :]
+    return float((left - left.mean(axis=1, keepdims=True)).std())
 
 
 def write_table(folder: Path) -> None:
     """Print the table, and write the page."""
     model = HammersteinModel.load(HERE / "model.json")
     found = {part: judged(model, folder, part) for part in ("train", "test")}
+    search = json.loads((HERE / "trials.json").read_text(encoding="utf-8"))
     lines = table(found)
-    print(lines + f"\n{cost_us(model):.2f} us a sample")
+    print(f"{lines}\n{cost_us(model):.2f} us a sample, {rest_um(model):.2g} um rms at rest")
     (HERE / "table.json").write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    notes = (HERE / "notes.md").read_text(encoding="utf-8")
-    (HERE / "README.md").write_text(notes.replace("{table}", lines), encoding="utf-8")
+    page = (HERE / "notes.md").read_text(encoding="utf-8")
+    for name, words in (
+        ("table", lines),
+        ("structures", structures(search["trials"])),
+        ("minutes", str(search["minutes"])),
+    ):
+        page = page.replace(f"{{{name}}}", words)
+    (HERE / "README.md").write_text(page, encoding="utf-8")
 
 
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["table", folder]:
             write_table(Path(folder))
-        case ["alone", folder, *minutes]:
-            alone(Path(folder), float(minutes[0]) if minutes else 60.0)
-        case ["fit", folder, search, *minutes]:
-            fit(Path(folder), Path(search), float(minutes[0]) if minutes else 60.0)
+        case ["fit", folder, *minutes]:
+            fit(Path(folder), float(minutes[0]) if minutes else 60.0)
         case _:
             sys.exit(__doc__)
