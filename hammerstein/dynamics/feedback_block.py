@@ -274,9 +274,9 @@ class FeedbackBlock(SteppedBlock, ByValue):
         bank, n = self.hysteresis.bank, len(self.A)
         x, plays = state[:n], state[n:].reshape(bank.r.shape)
         curved = self.products.limit, self.products.factors, self.products.weights
-        for start, end in spans(stop - first, len(self.entries[2]) + bank.w.size):
-            here = first + start, first + end
-            respond_plays(*self.entries, bank.r, bank.w, self.touched, *curved, x, plays, u_v, *here, y_um)
+        linear, moved = (*self.entries, self.push), (bank.r, bank.w, self.touched)
+        for start, end in spans(stop - first, len(self.entries[2]) + self.push.size + bank.w.size):
+            respond_plays(*linear, *moved, *curved, x, plays, u_v, first + start, first + end, y_um)
 
     @cached_property
     def touched(self) -> Indices:
@@ -302,7 +302,12 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:
-        """Non-zero entries of [[F, G, late], [A, B, E], [C, D, 0]] row by row."""
-        q = self.E.shape[1]
-        rows = [[self.F, self.G, self.late], [self.A, self.B, self.E]]
-        return entries_of(np.block([*rows, [self.C, self.D, np.zeros((self.n_outputs, q))]]))
+        """Non-zero entries of [[F, G, late], [A, 0, 0], [C, D, 0]] row by row."""
+        n, (m, width) = self.n_inputs, (self.n_outputs, self.E.shape[1])
+        rows = [[self.F, self.G, self.late], [self.A, np.zeros((len(self.A), n + width))]]
+        return entries_of(np.block([*rows, [self.C, self.D, np.zeros((m, width))]]))
+
+    @cached_property
+    def push(self) -> Array:
+        """[B, E] turned (inputs and w, n), whose entries are filled."""
+        return np.ascontiguousarray(np.hstack([self.B, self.E]).T)

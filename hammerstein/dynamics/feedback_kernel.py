@@ -6,8 +6,10 @@ from hammerstein.compiled import at, compiled
 
 
 @compiled()
-def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
+def respond_plays(start, column, value, push, r, weight, touched, limit, factors, K, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
     """z, x[k+1], y[k] = [[F, G, H], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
+
+    B and E are filled, and added column by column: many sums at once, of which none waits for another.
 
     Weighted products of z, as parts of their limits and within them, are added to w.
 
@@ -15,6 +17,7 @@ def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x
     and those of a move hold w of the moves before alone.
 
     start : (v h+n+o+1,) first entry of each row; column, value : (entry,)
+    push : (m + v q, n) [B, E] turned, whose entries are not among these
     r : (h, J) thresholds, filled up with infinity; weight : (h, J, q)
     touched : (h, 2) first and last + 1 of the w that a z moves
     limit : (h,); factors : (M, 3) which z a product is of, h where there is none; K : (q, M) weights
@@ -23,7 +26,7 @@ def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x
     n, m, (h, most), q = x.shape[0], u.shape[0], r.shape, weight.shape[2]
     outputs, products = y.shape[0], factors.shape[0]
     rows = start.shape[0] - 1 - n - outputs
-    part = np.ones(h + 1)
+    part, product = np.ones(h + 1), np.empty(products)
     now, later = np.zeros(n + m + rows * q), np.zeros(n + m + rows * q)
     for i in range(n):
         now[i] = x[i]
@@ -53,20 +56,30 @@ def respond_plays(start, column, value, r, weight, touched, limit, factors, K, x
                     reach = r[at(here), at(j)]
                     play = max(total - reach, min(total + reach, p[at(here), at(j)]))
                     p[at(here), at(j)] = play
-                    for o in range(low, high):
-                        now[at(w + o)] += weight[at(here), at(j), at(o)] * play
+                for o in range(low, high):
+                    moved = now[at(w + o)]
+                    for j in range(most):
+                        moved += weight[at(here), at(j), at(o)] * p[at(here), at(j)]
+                    now[at(w + o)] = moved
                 here += 1
                 if here == h:
                     for j in range(products):
-                        product = part[at(factors[at(j), 0])] * part[at(factors[at(j), 1])]
-                        product *= part[at(factors[at(j), 2])]
-                        for o in range(q):
-                            now[at(w + o)] += K[at(o), at(j)] * product
+                        first_two = part[at(factors[at(j), 0])] * part[at(factors[at(j), 1])]
+                        product[at(j)] = first_two * part[at(factors[at(j), 2])]
+                    for o in range(q):
+                        moved = now[at(w + o)]
+                        for j in range(products):
+                            moved += K[at(o), at(j)] * product[at(j)]
+                        now[at(w + o)] = moved
                     here, w = 0, w + q
             elif i < rows + n:
                 later[at(i - rows)] = total
             else:
                 y[at(i - rows - n), at(t)] = total
+        for j in range(push.shape[0]):
+            pushed = now[at(n + j)]
+            for i in range(n):
+                later[at(i)] += push[at(j), at(i)] * pushed
         now, later = later, now
     for i in range(n):
         x[i] = now[i]

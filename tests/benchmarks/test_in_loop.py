@@ -31,10 +31,13 @@ def linear_of(block, turned):
 
 
 @pytest.mark.parametrize(
-    ("against", "turned", "required"), [("modal form", False, 4.0), ("all entries filled", True, 1.0)]
+    ("against", "turned", "required"), [("modal form", False, 6.0), ("all entries filled", True, 1.0)]
 )
 def test_the_mirror_against_linear_dynamics_of_its_order(bench, against, turned, required):
-    """At most 1 us a sample is what is asked of a processor of today, on which the filled one takes 1.5."""
+    """At most 1 us a sample is what is asked of a processor of today; here it takes 0.86, the filled one 0.87.
+
+    The modal form has five entries a row. The loop has 51 and more in each of its rows, twice in a sample.
+    """
     block = on_grid(HammersteinModel.load(MIRROR).dynamics, TIME_S)
     u, linear = voltages(bench.fewer(200_000)), linear_of(block, turned)
     ours, other = (Work(partial(one.respond, u), u.shape[1]) for one in (block, linear))

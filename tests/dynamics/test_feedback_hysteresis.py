@@ -171,7 +171,7 @@ def test_two_moves_follow_an_oscillator_that_one_misses():
 
 
 def test_the_end_of_a_sample_needs_a_sample_time():
-    with pytest.raises(ValueError, match="give the sample_time_s"):
+    with pytest.raises(InputError, match="give the sample_time_s"):
         FeedbackHysteresisDynamics.of(plays(), **matrices(moves=2))
 
 
