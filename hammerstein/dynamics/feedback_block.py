@@ -97,6 +97,9 @@ TURNS_OF_SIZES = 50
 LEAST_SIZE = 1e-9
 """Smallest size of a z, as a part of the input: its gain is that of small loops."""
 
+SMALL = 1e-6
+"""Size of loops in which only what follows at once moves, in the unit of z."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FeedbackBlock(SteppedBlock, ByValue):
@@ -106,7 +109,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
         x[k+1] = A x[k] + B u[k] + E w[k],    y[k] = C x[k] + D u[k]
 
     There is no algebraic loop: z does not depend on w of the same sample, so w[k] is exact and not that of
-    the sample before. In continuous time w is held over a sample, as u is.
+    the sample before. A block in continuous time is put on a grid by ``held``.
 
     With an H, Gamma moves twice in a sample: to the z after the jump of u, and to that of its end,
 
@@ -201,20 +204,49 @@ class FeedbackBlock(SteppedBlock, ByValue):
         return gain, np.asarray(self.C @ x + self.D @ u)
 
     def held(self, sample_time_s: float, late_s: float = 0.0) -> FeedbackBlock:
-        """Put a block in continuous time on a grid, exactly for u and w held over each sample.
+        """Put a block in continuous time on a grid, for u held over each sample.
 
         The input may come ``late_s`` late, less than a sample; see ``LinearBlock.held``.
+
+        The slope that Gamma has in small loops is part of the linear block, which is exact. What is left of w
+        is linear within a sample, from the z at its beginning to the one that this w leads to: the error
+        falls with the square of the sample time (Heun). With a rate in Gamma, which would take the second
+        move for one of a whole sample, that w is held.
         """
-        m, own = self.n_inputs, self.hysteresis.on_grid(sample_time_s)
-        here = replace(self, hysteresis=own, sample_time_s=sample_time_s)
-        later = self._driven.held(sample_time_s - late_s)
-        b, e = later.B[:, :m], later.B[:, m:]
-        if not late_s:
-            return replace(here, A=later.A, B=b, E=e)
-        before = self._driven.held(late_s)
-        first = LinearBlock(before.A, before.B[:, :m], *self._seen, late_s)
-        late = first.then(LinearBlock(later.A, b, *self._seen, sample_time_s), sample_time_s)
-        return here._around(late, np.vstack([np.zeros((m, e.shape[1])), later.A @ before.B[:, m:] + e]))
+        slope, own = self.hysteresis.gain(SMALL), self.hysteresis.on_grid(sample_time_s)
+        a, b = self.A + self.E @ slope @ self.F, self.B + self.E @ slope @ self.G
+        step, first, rise = _with_rising(a, self.E, sample_time_s)
+        now, whole = (_with_rising(a, b, time_s)[1] for time_s in (sample_time_s - late_s, sample_time_s))
+        late = self.n_inputs if late_s else 0  # the last input is a state until the new one arrives
+
+        def of_state(by_input: Array, by_x: Array) -> Array:
+            return np.hstack([by_input[:, :late], by_x])
+
+        def below(rows: Array, top: Array) -> Array:
+            return np.vstack([top[:late, : rows.shape[1]], rows])
+
+        step, nothing = of_state(whole - now, step), np.zeros((late, len(step) + late + 2 * len(slope)))
+        f, g, e, more = of_state(self.G, self.F), self.G * (not late), first, np.zeros((0, len(slope)))
+        if self.hysteresis.on_grid(2.0 * sample_time_s) == own:
+            f, g = np.vstack([f, self.F @ step]), np.vstack([g, self.F @ now + self.G])
+            e, more = np.hstack([first - rise, rise]), self.F @ first
+        found = FeedbackBlock(
+            below(step, nothing),
+            below(now, np.eye(self.n_inputs)),
+            of_state(self.D, self.C),
+            self.D * (not late),
+            below(e, nothing),
+            *(f, g, own, sample_time_s, self.products, more),
+        )
+        return found._less(slope)
+
+    def _less(self, slope: Array) -> FeedbackBlock:
+        """The same block where w is that of Gamma, and was what is left of it beside a slope (q, h)."""
+        (h, q), m, p = slope.T.shape, self.n_inputs, self.n_outputs
+        both = self.beside(-slope)
+        b, e = both.B[:, :m], both.B[:, m:]
+        g, late = both.D[p:, :m], both.D[p + h :, m : m + q]
+        return replace(self, A=both.A, B=b, E=e, F=both.C[p:], G=g, H=late)
 
     @property
     def _seen(self) -> tuple[Array, Array]:
@@ -226,13 +258,6 @@ class FeedbackBlock(SteppedBlock, ByValue):
         p = self.n_outputs
         c, d = (late.C[:p], late.C[p:]), (late.D[:p], late.D[p:])
         return replace(self, A=late.A, B=late.B, C=c[0], D=d[0], E=e, F=c[1], G=d[1])
-
-    @property
-    def _driven(self) -> LinearBlock:
-        """Return the part of x that u and w drive."""
-        inputs = np.hstack([self.B, self.E])
-        none = np.zeros((0, inputs.shape[1]))
-        return LinearBlock(self.A, inputs, np.zeros((0, len(self.A))), none, self.sample_time_s)
 
     def observed_by(self, sensor: LinearBlock) -> FeedbackBlock:
         """Series with a sensor; the outputs are first this block's own, then the sensor's."""
@@ -311,3 +336,18 @@ class FeedbackBlock(SteppedBlock, ByValue):
     def push(self) -> Array:
         """[B, E] turned (inputs and w, n), whose entries are filled."""
         return np.ascontiguousarray(np.hstack([self.B, self.E]).T)
+
+
+def _with_rising(a: Array, e: Array, sample_time_s: float) -> tuple[Array, Array, Array]:
+    """Step of x' = a x + e w: what x, a held w, and a w that rises from 0 to 1 in the sample add to it.
+
+    Source: C. F. Van Loan, IEEE Transactions on Automatic Control 23 (1978) 395-404.
+    """
+    from scipy.linalg import expm
+
+    (n, q) = e.shape
+    whole = np.zeros((n + 2 * q, n + 2 * q))
+    whole[:n, : n + q] = np.hstack([a, e])
+    whole[n : n + q, n + q :] = np.eye(q) / sample_time_s
+    step = expm(whole * sample_time_s)[:n]
+    return step[:, :n], step[:, n : n + q], step[:, n + q :]

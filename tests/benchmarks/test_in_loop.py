@@ -34,7 +34,7 @@ def linear_of(block, turned):
     ("against", "turned", "required"), [("modal form", False, 6.0), ("all entries filled", True, 1.0)]
 )
 def test_the_mirror_against_linear_dynamics_of_its_order(bench, against, turned, required):
-    """At most 1 us a sample is what is asked of a processor of today; here it takes 0.86, the filled one 0.87.
+    """At most 1 us a sample is what is asked of a processor of today; 0.86 were measured.
 
     The modal form has five entries a row. The loop has 51 and more in each of its rows, twice in a sample.
     """

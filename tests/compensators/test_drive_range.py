@@ -178,7 +178,7 @@ def test_ranges_of_a_drive():
     with pytest.raises(InputError, match="names 2 inputs; the actuator has 3"):
         drive.limits(3)
     for wrong in ([1.0, 0.0], [1.0, 2.0, 3.0], "ten", -1.0, True, [], [0.0, float("nan")]):
-        with pytest.raises(ValueError, match=r"low below high|must be -1e6 to 1e6"):
+        with pytest.raises(InputError, match=r"low below high|must be -1e6 to 1e6"):
             Drive(range_v=wrong)
 
 
@@ -462,7 +462,7 @@ def test_signs_of_poling():
     for (low, high), sign in cases.items():
         assert Voltages.of([low], [low], [high]).poling == (sign,)
     for low, high in itertools.product((1.0, 2.0), (1.0,)):
-        with pytest.raises(ValueError, match="must lie below"):
+        with pytest.raises(InputError, match="must lie below"):
             Voltages.of([0.0], [low], [high])
 
 

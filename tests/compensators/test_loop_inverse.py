@@ -94,15 +94,18 @@ def test_the_model_stands_on_the_path():
     assert (after - wanted).std() < 1e-3 * wanted.std()
 
 
-def test_the_model_stands_on_the_path_where_its_hysteresis_moves_twice_in_a_sample():
-    """The loop of one stack on its grid, with w linear within a sample."""
-    once = on_grid(stacks().dynamics, TIME_S)
-    assert isinstance(once, FeedbackBlock)
-    f, g, e = once.F @ once.A, once.F @ once.B + once.G, 0.5 * once.E
-    dynamics = FeedbackHysteresisDynamics.of(
-        once.hysteresis, sample_time_s=TIME_S, A=once.A, B=once.B, C=once.C, D=once.D, E=np.hstack([e, e]),
-        F=np.vstack([once.F, f]), G=np.vstack([once.G, g]), H=once.F @ once.E,
-    )  # fmt: skip
+@pytest.mark.parametrize("moves", [1, 2])
+def test_the_model_stands_on_the_path_however_often_its_hysteresis_moves_in_a_sample(moves):
+    """The loop of stacks on its grid, where w is linear within a sample; and one whose w is held."""
+    twice = on_grid(stacks().dynamics, TIME_S)
+    assert isinstance(twice, FeedbackBlock)
+    assert twice.moves == 2
+    rows = {name: getattr(twice, name) for name in "ABCDEFGH"}
+    if moves == 1:
+        h, q = twice.H.shape
+        both = twice.E[:, :q] + twice.E[:, q:]
+        rows = rows | {"E": both, "F": twice.F[:h], "G": twice.G[:h], "H": np.zeros((0, q))}
+    dynamics = FeedbackHysteresisDynamics.of(twice.hysteresis, sample_time_s=TIME_S, **rows)
     model, wanted = replace(stacks(), dynamics=dynamics), path()
     found = model.simulate(law_of(model).drive_for(wanted), TIME_S).position_um
     assert (found - wanted).std() < 1e-3 * wanted.std()

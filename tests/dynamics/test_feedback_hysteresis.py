@@ -95,20 +95,23 @@ def test_without_loops_it_is_the_linear_model(steady):
     np.testing.assert_allclose(found, answer.outputs, rtol=1e-10, atol=1e-12 * np.abs(expected).max())
 
 
-def test_continuous_block_is_exact_for_held_inputs():
-    """Oscillator with a static spring in its loop, against the exponential of its matrix."""
+@pytest.mark.parametrize("wide", [0.0, 1e6])
+def test_a_continuous_loop_in_which_nothing_turns_is_linear(wide):
+    """Oscillator with a static spring in its loop and a play that never moves, against its exponential."""
     w, spring = 2 * np.pi * 300.0, 0.4
     a = np.array([[0.0, w], [-w, -0.02 * w]])
     of = {"A": a, "B": [[0.0], [w]], "C": [[1.0, 0.0]], "D": [[0.0]]}
     loop = {"E": [[0.0], [w]], "F": [[1.0, 0.0]], "G": [[0.0]]}
-    dynamics = FeedbackHysteresisDynamics.of(PrandtlIshlinskii([[Pair([0.0], [-spring])]]), **of, **loop)
+    pair = Pair([0.0, wide], [-spring, 0.7]) if wide else Pair([0.0], [-spring])
+    dynamics = FeedbackHysteresisDynamics.of(PrandtlIshlinskii([[pair]]), **of, **loop)
     u = RNG.normal(size=(1, 50))
     found, _ = on_grid(dynamics, TIME_S).respond(u)
-    step = expm(TIME_S * np.block([[a, np.array([[0.0, 0.0], [w, w]])], [np.zeros((2, 4))]]))
+    softer = np.array([[0.0, w], [-w - w * spring, -0.02 * w]])
+    step = expm(TIME_S * np.block([[softer, np.array([[0.0], [w]])], [np.zeros((1, 3))]]))
     x, y = np.zeros(2), []
     for value in u[0]:
         y.append(x[0])
-        x = step[:2, :2] @ x + step[:2, 2] * value + step[:2, 3] * (-spring * x[0])
+        x = step[:2, :2] @ x + step[:2, 2] * value
     np.testing.assert_allclose(found[0], y, rtol=1e-10, atol=1e-13)
 
 

@@ -94,7 +94,7 @@ def test_what_is_driven_alone_is_the_cause():
 
 
 def test_samples_are_a_power_of_two_and_something_varies():
-    with pytest.raises(ValueError, match="power of two, as a Sobol sequence needs it; 128 is near"):
+    with pytest.raises(InputError, match="power of two, as a Sobol sequence needs it; 128 is near"):
         Uncertainty(sensitivity=100)
     still = SCENARIO | {"uncertainty": {"draws": 2, "sensitivity": 8}}
     with pytest.raises(InputError, match="nothing is uncertain"):

@@ -55,7 +55,7 @@ def test_frequencies_of_a_figure_differ_by_a_hundred_times_at_most(ratio):
     for x_hz, y_hz in ((ratio, 1.0), (1.0, ratio)):
         asked = {"amplitude": 1.0, "frequency_x_hz": x_hz, "frequency_y_hz": y_hz}
         if ratio > 100.0:
-            with pytest.raises(ValueError, match="within a factor of 100 of each other"):
+            with pytest.raises(InputError, match="within a factor of 100 of each other"):
                 Lissajous(**asked)
         else:
             figure = Lissajous(**asked)
