@@ -69,7 +69,7 @@ class Attempt:
         ends, the whole error counts.
         """
         wide = widened(limits)
-        if wide is None:
+        if wide is None or self.softened:
             return self.path_error_um
         try:
             free = Attempt.of(model, wide, compensator, self.reference_um, self.lead)
@@ -77,6 +77,16 @@ class Attempt:
             return self.path_error_um
         change = self.predicted.error_um - free.predicted.error_um
         return np.asarray(np.abs(change[:, self.lead :]).max(axis=1))
+
+    @property
+    def softened(self) -> bool:
+        """Whether the law takes another way to a path that does not begin where the actuator stands."""
+        return bool(getattr(self.law, "softens", lambda path: False)(self.reference_um))
+
+    @property
+    def complete(self) -> bool:
+        """Whether the drive is never at its range, nor the path left otherwise."""
+        return self.predicted.complete and not self.softened
 
     @property
     def path_error_um(self) -> Array:
@@ -446,5 +456,5 @@ class MissedPath(Missed):
             )
         except HammersteinError:
             return np.inf, False
-        within = found.predicted.complete or bool((found.path_error_um <= self.own_um).all())
+        within = found.complete or bool((found.path_error_um <= self.own_um).all())
         return float(found.path_error_um.max()), within

@@ -246,7 +246,9 @@ def design_of(
     refuse_flagged(model, source, terms)
     limits = allowed_range(model, terms)
     time_s = model.instruments.drive.sample_time_s
-    _, path_um, found = read_path(path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units)
+    _, path_um, found = read_path(
+        path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units, periodic=True
+    )
     onlooker.tell("computing the period")
     compensator, path_um = compensator_of(law, options), moved(path_um, terms.offset_um)
     built = sensorless_law(compensator, {}, model, limits, time_s)

@@ -30,6 +30,7 @@ from hammerstein.compensators.path_file import (
     read_path,
 )
 from hammerstein.compensators.reach import Reach, Shortfall, reach
+from hammerstein.dynamics import WithLoop
 from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.files import write_atomic
 from hammerstein.model import HammersteinModel
@@ -50,7 +51,8 @@ INITIAL_STATE, AT_REST = "Initial state, where the path is zero", "at rest, with
 DRIVEN_TO = "driven to"
 NOTHING = 1e-5
 """Part of a path that is no miss, whatever is known of the model."""
-EARLIER = " Earlier motion shifts the position; less so after both ends of the range (--conditioned)."
+EARLIER = " Earlier motion shifts the position"
+FORGOTTEN = "; less so after both ends of the range (--conditioned)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +202,8 @@ class Compensation(Attempt):
         if limits.conditioned:
             top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
             return f"{text}{DRIVEN_TO} {top}, then to {low}, then directly to the start."
-        earlier = EARLIER if self.prediction.rest is None else ""
+        forgotten = FORGOTTEN * (not isinstance(self.model.dynamics, WithLoop))  # whose laws begin at rest
+        earlier = f"{EARLIER}{forgotten}." if self.prediction.rest is None else ""
         if (limits.start_v == limits.working_point_v).all():
             return f"{text}{AT_REST}.{earlier}"
         return f"{text}at rest at {rest} before, then directly to the start.{earlier}"
@@ -325,11 +328,11 @@ def compensation_of(
     own = NOTHING * np.ptp(path, axis=1)
     if (stated := stated_error_um(model)) is not None:
         own = np.maximum(own, stated)
-    held = not found.predicted.complete and bool(
+    held = not found.complete and bool(
         (found.path_error_um <= own).all() or (found.limited_um(model, limits, compensator) <= own).all()
     )
     reachable = reach(model, limits, run_anyway=True)
-    if not (terms.clip or held or found.predicted.complete):
+    if not (terms.clip or held or found.complete):
         missed = MissedPath(
             model, limits, compensator, path, own, reachable, terms.offset_um is not None, found
         )

@@ -373,7 +373,9 @@ def _taught(
     """What the files of a trial teach, and its drive (m, N)."""
     samples, time_s = design.reference_um.shape[1], design.model.instruments.drive.sample_time_s
     drive = _drive_of(trial[0], design.model, samples)
-    _, measured, resampled = read_path(trial[1], design.model, time_s, "reading", CYCLE_COST, units=units)
+    _, measured, resampled = read_path(
+        trial[1], design.model, time_s, "reading", CYCLE_COST, units=units, periodic=True
+    )
     if resampled:
         raise InputError(
             str(trial[1]), f"is not sampled every {interval(time_s)} like the drive; record it like that"

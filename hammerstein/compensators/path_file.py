@@ -146,6 +146,7 @@ def read_path(
     cost: PathCost = DRIVE_COST,
     onlooker: Onlooker = UNWATCHED,
     units: str | None = None,
+    periodic: bool = False,
 ) -> tuple[Array, Array, str]:
     """Times (sample,), positions (output, sample) on the drive's grid, and what was resampled or left out.
 
@@ -156,6 +157,7 @@ def read_path(
     cost : of a sample, in what is done with the path
     onlooker : told the cost before the grid is made
     units : of the columns that name none
+    periodic : whether the first row follows the last one, a step of the path later
 
     Raises
     ------
@@ -169,15 +171,18 @@ def read_path(
         what = f"looks like a record: it holds {', '.join(model.inputs)} too; keep its times and positions"
         raise InputError(str(path), what)
     values = in_um(path, [names[i] for i in columns], values[columns], model, units)
-    samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + 1
+    if periodic:
+        times, values = np.append(times, 2.0 * times[-1] - times[-2]), np.hstack([values, values[:, :1]])
+    samples = math.floor((times[-1] - times[0]) / sample_time_s + 1e-6) + (not periodic)
     if samples < 2:
         raise InputError(str(path), f"is shorter than two samples of {interval(sample_time_s)}")
     work = PathWork(samples, sample_time_s, cost)
     work.refuse_too_large(path)
     onlooker.begin(work)
     grid = times[0] + np.arange(samples) * sample_time_s
-    same = samples == len(times) and bool(np.abs(times - grid).max() < 1e-3 * sample_time_s)
-    reference = values if same else np.stack([np.interp(grid, times, row) for row in values])
+    same = samples + periodic == len(times)
+    same = same and bool(np.abs(times[:samples] - grid).max() < 1e-3 * sample_time_s)
+    reference = values[:, :samples] if same else np.stack([np.interp(grid, times, row) for row in values])
     unused = ", ".join(name for name in others if word == "reference" and not name.startswith(OWN))
     said = [f"Columns of the path that are no output of the model are not used: {unused}."] if unused else []
     said += [] if same else [_resampled(times, sample_time_s)]

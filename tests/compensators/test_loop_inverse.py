@@ -49,6 +49,18 @@ def path(samples=3000):
     return swell * np.array(waves)
 
 
+def test_a_period_that_begins_away_from_rest_is_followed():
+    """A cosine is a sine a quarter later; a jump to its beginning would end at the range."""
+    turn = 2 * np.pi * 50.0 * np.arange(200) * TIME_S
+    model = stacks()
+    law = hammerstein.HammersteinInverse().design(model, 30.0, TIME_S)
+    wanted = np.stack([1.5 * np.cos(turn), np.cos(turn + 0.7)])
+    moved = model.simulate(law.drive_for(np.tile(wanted, 12)), TIME_S).position_um[:, -200:]
+    assert (moved - wanted).std() < 2e-3 * wanted.std()
+    with pytest.raises(SimulationError, match=r"begins 0.6 um away(.|\n)*--lead-in \(0.00"):
+        compensation_of(model, 0.4 * np.tile(wanted, 3), "hammerstein_inverse", {}, Terms())
+
+
 def charge(s, plays, c, stops):
     """Root q of q + C V_h(q) = s, from the plays before."""
 

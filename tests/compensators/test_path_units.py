@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from hammerstein.commands.cli import main
+from hammerstein.compensators.path_file import read_path
 from hammerstein.model import HammersteinModel
 
 T = 50e-6
@@ -106,3 +107,15 @@ def test_a_cell_without_a_position_is_named_with_its_remedy(tmp_path, capsys, ce
     path.write_text("\n".join(lines))
     assert _drive(path, tmp_path / "drive.csv") == 2
     assert f"column x, row 8  {what}; correct it, or remove the row" in capsys.readouterr().err
+
+
+def test_a_period_of_larger_steps_has_its_length(tmp_path):
+    """The first row follows the last one a step later, whatever the sample time of the drive."""
+    model = HammersteinModel.load("duo_bimorph")
+    for rows in (160, 200, 400):
+        turn = 2.0 * np.pi * np.arange(rows) / rows
+        table = np.stack([0.02 * np.arange(rows) / rows, np.cos(turn), np.sin(turn)], axis=1)
+        np.savetxt(tmp_path / "p.csv", table, delimiter=",", header="time_s,x_um,y_um", comments="")
+        _, path, _ = read_path(tmp_path / "p.csv", model, 50e-6, periodic=True)
+        expected = np.cos(2.0 * np.pi * np.arange(400) / 400)
+        np.testing.assert_allclose(path[0], expected, atol=0.5 * (2.0 * np.pi / rows) ** 2 / 4)

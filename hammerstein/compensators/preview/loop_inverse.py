@@ -1,6 +1,8 @@
 """The inverse of dynamics with hysteresis in their loop, in passes of linearisation, known ahead."""
 
 import contextlib
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -23,6 +25,7 @@ from hammerstein.dynamics.feedback_hysteresis import FAR_V
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import interval
+from hammerstein.signals import smooth_step
 
 MOST_PASSES, PATIENCE = 24, 3
 """Passes that are tried, and how many in a row may leave more than the best before."""
@@ -32,6 +35,8 @@ to twice the resonance of two made-up stacks, 40 steps left 0.0001 to 0.003 of t
 the smallest; where 12 or 25 were remembered, up to 0.8."""
 ENOUGH = 1e-4
 """Part of the path that may be left: identified models miss it by twenty times as much and more."""
+BEGINNINGS = (1, 4, 16)
+"""How long a path that begins away from rest grows until it is itself, in parts of the inverse's reach."""
 SHARES = (0.25, 0.5, 0.1, 1.0)
 """Of the range, for the slow loops whose gains are tried."""
 TRIAL_SAMPLES = 2000  # of the path on which the passes are tried
@@ -285,8 +290,8 @@ class LoopInverseLaw(Law[LoopPathState]):
         """
         reference = checked_reference(reference_um, self.n_outputs)
         least, drive = (True, np.inf), np.zeros((self.n_inputs, reference.shape[1]))
-        for one in self.loops:
-            left, v = one.solved(self._known(one, reference))
+        for path, one in itertools.product(self._begun(reference), self.loops):
+            left, v = one.solved(self._known(one, path))
             found = self.exact.solve(self._from_rest(v), self.exact.rest(), np.zeros(0))[0]
             now = bool(self.range.reached(self.range.absolute(found)).any()), left
             if now <= least:
@@ -294,6 +299,22 @@ class LoopInverseLaw(Law[LoopPathState]):
             if least <= (False, ENOUGH) or not reference.any():
                 break
         return self.range.absolute(drive)
+
+    def softens(self, reference: Array) -> bool:
+        """Whether a path (p, N) begins away from rest, so that it is not followed there."""
+        return bool(np.abs(reference[:, 0]).max() > ENOUGH * np.abs(reference).max())
+
+    def _begun(self, reference: Array) -> Iterator[Array]:
+        """The path, or one that grows to it from rest, ever more slowly: a jump would end at the range.
+
+        There the hysteresis would take another way than the law's, and all of the path would be missed.
+        """
+        if not self.softens(reference):
+            yield reference
+            return
+        for share in BEGINNINGS:
+            samples = max(share * self.loop.inverse.reach_samples, 1)
+            yield reference * smooth_step(np.minimum(np.arange(reference.shape[1]) / samples, 1.0))
 
     def _known(self, loop: LoopPass, reference: Array) -> Array:
         """Filtered path (p, N + reach_samples) on which the inputs of a loop stand."""
