@@ -145,3 +145,11 @@ def test_mean_cycle_leaves_the_start_from_rest_out():
     assert len(u) == PERIOD
     assert y[0].max() == pytest.approx(7.0 + tip, abs=1e-9)
     assert y[0].min() == pytest.approx(7.0 - tip, abs=1e-9)
+
+
+def test_where_no_operator_fits_a_half_cycle_none_are_proposed():
+    """Half a cycle of one sample has room for none; one of two for one at most."""
+    with pytest.raises(IdentificationError, match="use a lower frequency"):
+        nodes_uniform_in_time(3, 1.5)
+    with pytest.raises(IdentificationError, match="use at most 1 operators, a lower frequency"):
+        nodes_uniform_in_time(3, 2.5)

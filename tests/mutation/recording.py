@@ -141,15 +141,15 @@ class Recording:
         """
         found = {name for row in _run_with(tree / path, line) for name in self._direct(path, row)}
         about = {path}
-        if not found:
+        if not found or _is_compiled(tree / path, line):  # whose lines only tests without compiling touch
             places = [
                 (file, row)
                 for name in _made_by(tree / path, line)
                 for file, row in _named_at(tree, name, path)
                 if _within_function(tree / file, row)
             ]
-            found = {name for place in places for name in self._direct(*place)}
-            about = {file for file, _ in places}
+            found |= {name for place in places for name in self._direct(*place)}
+            about |= {file for file, _ in places}
         found = found or {name for context in self.touched.get(path, ()) for name in self._of(context)}
         return {name: self._focus(name, about) for name in found}
 
@@ -179,6 +179,22 @@ def _within_function(path: Path, line: int) -> bool:
 
     bodies = (n.body for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef))
     return any(body[0].lineno <= line <= (body[-1].end_lineno or 0) for body in bodies)
+
+
+def _decorated(node: Any) -> bool:
+    """Whether a function is machine code when it runs, by itself or within another one."""
+    import ast
+
+    words = [ast.dump(one) for one in node.decorator_list]
+    return any("compiled" in word or "helper" in word for word in words)
+
+
+def _is_compiled(path: Path, line: int) -> bool:
+    """Whether a line is of such a function."""
+    import ast
+
+    functions = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef)]
+    return any(_decorated(n) and n.lineno <= line <= (n.end_lineno or 0) for n in functions)
 
 
 def _run_with(path: Path, line: int) -> Iterable[int]:
@@ -226,10 +242,7 @@ def _named_at(
             continue
         path = file.relative_to(tree).as_posix()
         compiled = [
-            node
-            for node in ast.parse(text).body
-            if isinstance(node, ast.FunctionDef)
-            and any("compiled" in ast.dump(d) for d in node.decorator_list)
+            node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef) and _decorated(node)
         ]
         for number, row in enumerate(text.split("\n"), start=1):
             if not word.search(row):
