@@ -18,6 +18,7 @@ from .dynamics import (
     CreepMode as CreepMode,
     ElastoSlip as ElastoSlip,
     ElectromechanicalDynamics as ElectromechanicalDynamics,
+    FeedbackHysteresisDynamics as FeedbackHysteresisDynamics,
     LinearBlock as LinearBlock,
     StackAxis as StackAxis,
     StateSpaceDynamics as StateSpaceDynamics,

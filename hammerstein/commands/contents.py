@@ -136,14 +136,16 @@ def _scenario(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def _model(path: Path) -> Iterator[tuple[str, str]]:
+    from hammerstein.dynamics import WithLoop
     from hammerstein.model import HammersteinModel
 
     model = HammersteinModel.load(path)
+    where = "in the loop of the dynamics; before it, " * isinstance(model.dynamics, WithLoop)
     yield "name", model.name
     yield "origin", model.origin
     yield "inputs", ", ".join(model.inputs)
     yield "outputs", ", ".join(model.outputs)
-    yield "hysteresis", model.hysteresis.describe()
+    yield "hysteresis", f"{where}{model.hysteresis.describe()}"
     yield "dynamics", model.dynamics.describe()
     gains = model.gain(model.amplitude_v)
     for o, output in enumerate(model.outputs):
