@@ -416,7 +416,8 @@ def identify(
     model, fit = _identified(records, settings, validation, out)
     tell_kept(write_fit(model, fit, out, folder, figures, overwrite, asked))
     if in_loop.hysteresis_in_loop:
-        search_file(out).unlink(missing_ok=True)
+        for file in search_files(out):
+            file.unlink(missing_ok=True)
     if as_json:
         tell_json(json.loads(fit_json(model, fit)), indent=1, sort_keys=True)
         return
@@ -424,9 +425,9 @@ def identify(
     tell_statements(answer(model, fit, folder, asked))
 
 
-def search_file(model: Path) -> Path:
-    """Where the progress of a search for hysteresis in the loop is kept until there is a model."""
-    return model.with_name(f"{model.stem}.search.json")
+def search_files(model: Path) -> tuple[Path, Path]:
+    """Where a search for hysteresis in the loop keeps its progress and its best model until it ends."""
+    return model.with_name(f"{model.stem}.search.json"), model.with_name(f"{model.stem}.partial.json")
 
 
 def _identified(
@@ -441,9 +442,14 @@ def _identified(
     if not isinstance(settings, LoopSettings):
         with Spinner() as spinner:
             return identify_model(records, settings, progress=spinner.tell, **same)
-    kept = search_file(out)
-    with Spinner(f"searching; {kept} holds the progress, and the same command continues from it") as spinner:
-        return identify_in_loop(records, settings, kept=kept, progress=spinner.tell, **same)
+    kept, playable = search_files(out)
+    begun = (
+        f"searching; {kept} will hold every finished part, from which the same command continues, "
+        f"and {playable} the best model so far"
+    )
+    same |= {"kept": kept, "playable": playable}
+    with Spinner(begun) as spinner:
+        return identify_in_loop(records, settings, progress=spinner.tell, **same)
 
 
 @grouped

@@ -10,7 +10,6 @@ import pytest
 
 from hammerstein import HammersteinModel
 from hammerstein.dynamics import on_grid
-from hammerstein.errors import InputError
 from hammerstein.identification.in_loop import search
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import Search, SettledPeriod
@@ -178,32 +177,19 @@ def test_a_place_whose_derivatives_diverge_is_where_a_search_ends():
         assert Search().run(start, periods(truth), pool) is start
 
 
-def test_an_interrupted_search_goes_on_from_its_file(tmp_path):
-    truth, file = made_up(), tmp_path / "search.json"
-    seen = periods(truth)
-    costs = []
-
-    def tell(progress):
-        progress.found.save(file)
-        costs.append(progress.cost)
-        if len(costs) == 2:
-            raise KeyboardInterrupt
-
-    start = truth.at(truth.vector() * 1.02)
-    with ThreadPoolExecutor(2) as pool:
-        with pytest.raises(KeyboardInterrupt):
-            Search().run(start, seen, pool, tell)
-        kept = LoopParameters.load(file)
-        Search(steps=1).run(kept, seen, pool, tell)
-    assert costs[2] < costs[1] < costs[0]
-    assert np.array_equal(LoopParameters.load(file).vector().shape, start.vector().shape)
-
-
-def test_another_file_is_no_search(tmp_path):
-    file = tmp_path / "other.json"
-    file.write_text('{"A": [1]}')
-    with pytest.raises(InputError, match="start the search again"):
-        LoopParameters.load(file)
+@pytest.mark.parametrize("moves", [1, 2])
+def test_parameters_are_the_same_after_their_text(moves):
+    """To the last bit, with no product, and with no second move."""
+    truth = made_up(moves=moves)
+    found = LoopParameters.of(json.loads(json.dumps(truth.plain())))
+    assert np.array_equal(found.vector(), truth.vector())
+    u = periods(truth)[0].u
+    assert np.array_equal(found.simulate(u, WARM), truth.simulate(u, WARM))
+    assert (found.H.shape, found.K.shape, found.factors.shape) == (
+        truth.H.shape,
+        truth.K.shape,
+        truth.factors.shape,
+    )
 
 
 @pytest.mark.parametrize("moves", [1, 2])

@@ -16,10 +16,11 @@ import numpy as np
 
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
+from hammerstein.files import read_limited, write_atomic
 from hammerstein.identification.fit import Fit
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.result import Found, result_of
+from hammerstein.identification.in_loop.result import Found, model_so_far, result_of
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
 from hammerstein.identification.in_loop.selection import Selection, from_one_point, settled_periods
 from hammerstein.identification.in_loop.start import (
@@ -45,6 +46,10 @@ PATIENCE = 4
 """Steps in a row after which a search ends that lowers the error of what is held back no more."""
 GAINED = 0.99
 """Part of the error held back that must be left, or more paths are not worth their numbers."""
+EVERY_S = 60.0
+"""Between two models that are written while a search goes on."""
+FORMAT = "hammerstein-feedback-search/2"
+WHAT = "file of an interrupted search"
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class LoopSettings:
     """How hysteresis in a loop is identified.
 
     order : states of the linear block, even; found from the number of outputs if not given
-    minutes : after which the best model found is given
+    minutes : of search after which the best model found is given; what an interruption lost does not count
     """
 
     order: int | None = None
@@ -67,6 +72,7 @@ def identify_in_loop(
     validation: Sequence[Record] = (),
     name: str = "identified",
     kept: Path | None = None,
+    playable: Path | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[HammersteinModel, Fit]:
     """Identify a model with plays and products inside its loop from the simulated output.
@@ -80,18 +86,24 @@ def identify_in_loop(
     ----------
     records : experiments at several amplitudes, on one sample time
     validation : validation records: reported, never used to choose
-    kept : file of the parameters found so far, written after every step; a search continues from it
+    kept : file of the structures tried so far; an interrupted search continues from it, as if it had not been
+    playable : file of the best model so far, written at most about once a minute
 
     Raises
     ------
     IdentificationError : too few experiments, or linear dynamics are as good on the selection experiments
-    InputError : records of several sample times, or a file of other records
+    InputError : records of several sample times, or a file of another search
     """
     ready, held = from_one_point(from_last_rest(records), from_last_rest(validation) if validation else ())
     _refuse(ready, held)
+
+    def write(found: LoopParameters) -> None:
+        if playable is not None:
+            with contextlib.suppress(InputError):  # a loop that is not stable cannot be played
+                model_so_far(found, ready, name).save(playable)
+
     with ThreadPoolExecutor(2) as pool:
-        work = _Work(settings or LoopSettings(), kept, _digest(ready), progress, pool)
-        found = work.resumed(ready) if kept is not None and kept.is_file() else work.chosen(ready)
+        found = _Work(settings or LoopSettings(), kept, ready, progress, write, pool).chosen(ready)
     if not found.chosen.percent < found.linear.percent:
         raise IdentificationError(
             f"hysteresis in the loop has an error of {found.chosen.percent:.3g} % of the range on the "
@@ -102,11 +114,16 @@ def identify_in_loop(
 
 
 class _Best(NamedTuple):
-    """The best structure so far, and the steps in which it was found."""
+    """A structure at its best, the steps in which it was found, and the seconds of search until its end.
+
+    cut : whether the time limit ended its steps
+    """
 
     found: LoopParameters
     trial: Trial
     steps: int
+    seconds: float = 0.0
+    cut: bool = False
 
 
 class _Work:
@@ -116,17 +133,21 @@ class _Work:
         self,
         settings: LoopSettings,
         kept: Path | None,
-        digest: str,
+        records: Sequence[Record],
         tell: Callable[[str], None],
+        write: Callable[[LoopParameters], None],
         pool: Executor,
     ) -> None:
-        self.settings, self.kept, self.digest, self.tell, self.pool = settings, kept, digest, tell, pool
-        self.begun_s = time.monotonic()
+        self.settings, self.kept, self.tell, self.write, self.pool = settings, kept, tell, write, pool
+        self.digest = _digest(records, settings.order)
+        self.before = _stages(kept, self.digest) if kept is not None and kept.is_file() else []
+        self.begun_s, self.written_s = time.monotonic(), -np.inf
         self.trials: list[Trial] = []
+        self.stages: list[_Best] = []
 
     def chosen(self, records: Sequence[Record]) -> Found:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
-        self.tell("fitting linear dynamics")
+        self.tell("continuing the interrupted search" if self.before else "fitting linear dynamics")
         blocks = _linear(records, self.settings.order)
         block = next(blocks)
         periods = settled_periods(records, block.respond)
@@ -149,20 +170,6 @@ class _Work:
             with_products,
         )
         return Found(self._all(best, periods), block, self._marked(best))
-
-    def resumed(self, records: Sequence[Record]) -> Found:
-        """Go on with the file of an interrupted search."""
-        assert self.kept is not None
-        found = LoopParameters.load(self.kept)
-        more = json.loads(self.kept.read_text(encoding="utf-8")).get("search", {})
-        if more.get("of") != self.digest or "trials" not in more:
-            what = "belongs to a search on other records or of another version; remove it to start again"
-            raise InputError(str(self.kept), what)
-        self.tell("continuing the interrupted search")
-        self.trials = [Trial(name, count, np.array(squares)) for name, count, squares in more["trials"]]
-        block = next(_linear(records, len(found.B)))
-        best = _Best(found, self.trials[-1], more["steps"])
-        return Found(self._all(best, settled_periods(records, block.respond)), block, self._marked(best))
 
     def _of_order(self, block: LinearBlock, parts: Selection) -> _Best:
         """Plays in the loop of linear dynamics of one order.
@@ -193,7 +200,24 @@ class _Work:
         return tried if best is None or tried.trial.percent < GAINED * best.trial.percent else best
 
     def _tried(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
-        """Search until the error held back falls no more."""
+        """Search until the error held back falls no more, or take what was found before an interruption."""
+        stage = self._done(begun) or self._searched(begun, best, parts)
+        self.stages.append(stage)
+        self.trials.append(stage.trial)
+        self._keep()
+        return stage
+
+    def _done(self, begun: LoopParameters) -> _Best | None:
+        """Next stage of the interrupted search, unless it was cut short and there is more time now."""
+        stage = self.before.pop(0) if self.before else None
+        more = stage is not None and stage.cut and stage.seconds < 30.0 * self.settings.minutes
+        if stage is None or more or stage.trial.name != begun.describe():
+            self.before = []
+            return None
+        self.begun_s = time.monotonic() - stage.seconds
+        return stage
+
+    def _searched(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
         least = np.inf if best is None else GAINED * best.trial.percent
         tried = _Best(begun, Trial(begun.describe(), len(begun.vector()), np.array([np.inf])), 0)
 
@@ -204,13 +228,14 @@ class _Work:
             if now.percent < tried.trial.percent:
                 tried = _Best(progress.found, now, progress.step + 1)
                 if now.percent < least:
-                    self._keep(tried)
-            if self._is_late(0.5) or progress.step + 1 - tried.steps >= PATIENCE:
+                    self._show(progress.found)
+            late = self._is_late(0.5)
+            tried = tried._replace(cut=late)
+            if late or progress.step + 1 - tried.steps >= PATIENCE:
                 raise StopIteration
 
         _run(begun, parts.seen, self.pool, tell, Search())
-        self.trials.append(tried.trial)
-        return tried
+        return tried._replace(seconds=time.monotonic() - self.begun_s)
 
     def _all(self, best: _Best, periods: Sequence[SettledPeriod]) -> LoopParameters:
         """Fit all experiments with the structure chosen, by as many steps."""
@@ -218,13 +243,13 @@ class _Work:
 
         def tell(progress: Progress) -> None:
             nonlocal found
-            self._keep(best._replace(found=progress.found, steps=best.steps - progress.step - 1))
+            found = progress.found
+            self._show(found)
             left = float(np.sqrt(np.mean(progress.rms**2)))
             self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
             if self._is_late():
                 raise StopIteration
 
-        self._keep(best)
         _run(found, periods, self.pool, tell, Search(steps=best.steps))
         return found
 
@@ -234,12 +259,37 @@ class _Work:
     def _marked(self, best: _Best) -> tuple[Trial, ...]:
         return tuple(replace(trial, kept=trial is best.trial) for trial in self.trials)
 
-    def _keep(self, best: _Best) -> None:
-        """Write what an interrupted search goes on from: the best structure is the last trial."""
+    def _show(self, found: LoopParameters) -> None:
+        """Write the best model so far, now and then."""
+        if time.monotonic() - self.written_s >= EVERY_S:
+            self.write(found)
+            self.written_s = time.monotonic()
+
+    def _keep(self) -> None:
+        """Write what an interrupted search goes on from: every stage so far, and those it will come to."""
         if self.kept is not None:
-            trials = [*(trial for trial in self.trials if trial is not best.trial), best.trial]
-            plain = [[trial.name, trial.parameters, trial.squares.tolist()] for trial in trials]
-            best.found.save(self.kept, {"of": self.digest, "steps": best.steps, "trials": plain})
+            plain = [
+                [one.found.plain(), one.trial.squares.tolist(), one.steps, one.seconds, one.cut]
+                for one in (*self.stages, *self.before)
+            ]
+            write_atomic(self.kept, json.dumps({"format": FORMAT, "of": self.digest, "stages": plain}) + "\n")
+
+
+def _stages(kept: Path, digest: str) -> list[_Best]:
+    """Stages of an interrupted search; InputError for another file."""
+    try:
+        content = json.loads(read_limited(kept, what=WHAT))
+        if (content["format"], content["of"]) != (FORMAT, digest):
+            what = "belongs to a search on other records, of another order or of another version"
+            raise InputError(str(kept), f"{what}; remove it to start again")
+        stages = []
+        for plain, squares, steps, seconds, cut in content["stages"]:
+            found = LoopParameters.of(plain)
+            trial = Trial(found.describe(), len(found.vector()), np.array(squares, float))
+            stages.append(_Best(found, trial, int(steps), float(seconds), bool(cut)))
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        raise InputError(str(kept), f"is not a {WHAT}; remove it to start again") from None
+    return stages
 
 
 def _run(
@@ -275,8 +325,10 @@ def _linear(records: Sequence[Record], order: int | None) -> Iterator[LinearBloc
         yield from (fit_state_space(response, one) for one in orders[1:])
 
 
-def _digest(records: Sequence[Record]) -> str:
-    told = hashlib.sha256()
+def _digest(records: Sequence[Record], order: int | None) -> str:
+    """Hash of what a search depends on, its time limit left out: it may go on with more."""
+    told = hashlib.sha256(repr(order).encode())
     for record in records:
+        told.update(repr((record.sample_time_s, record.period_samples)).encode())
         told.update(record.u_v.tobytes() + record.y_um.tobytes())
     return told.hexdigest()[:16]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,15 +12,12 @@ from hammerstein.arrays import Array, Complex, Indices
 from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
 from hammerstein.errors import InputError
-from hammerstein.files import read_limited, write_atomic
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.kernels import follow
 from hammerstein.identification.state_space_candidates import gain_model
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
 
-FORMAT = "hammerstein-feedback-search/1"
-WHAT = "file of an interrupted search"
 SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "H", "c", "K")
 LEAST_THRESHOLD = 1e-4
 """Keeps a threshold above zero."""
@@ -224,23 +219,15 @@ class LoopParameters:
         straight = -(self.c[i] * self.beta[i]).sum()
         return Pair(np.concatenate([[0.0], r]), np.concatenate([[straight], weights]))
 
-    def save(self, file: Path, search: dict[str, Any] | None = None) -> None:
-        """Write all parameters and the state of the search, atomically."""
-        content = {one.name: getattr(self, one.name).tolist() for one in fields(self)}
-        write_atomic(
-            file, json.dumps({"format": FORMAT, "search": search or {}, **content}, sort_keys=True) + "\n"
-        )
+    def plain(self) -> dict[str, Any]:
+        """Return all parameters as plain JSON."""
+        return {one.name: getattr(self, one.name).tolist() for one in fields(self)}
 
     @classmethod
-    def load(cls, file: Path) -> LoopParameters:
-        """Read what ``save`` wrote; InputError for another file."""
-        try:
-            content = json.loads(read_limited(file, what=WHAT))
-            content = {"H": []} | content  # of files without moves at the end of a sample
-            numbers: dict[str, Any] = {one.name: np.array(content[one.name], float) for one in fields(cls)}
-            numbers["H"] = numbers["H"].reshape(-1, len(numbers["r"]))
-            numbers["factors"] = numbers["factors"].reshape(-1, 3).astype(np.int64)
-            numbers["K"] = numbers["K"].reshape(len(numbers["r"]), -1)
-        except (KeyError, TypeError, ValueError):
-            raise InputError(str(file), f"is not a {WHAT}; start the search again") from None
+    def of(cls, plain: Mapping[str, Any]) -> LoopParameters:
+        """Return the parameters of ``plain``; KeyError, TypeError or ValueError for anything else."""
+        numbers: dict[str, Any] = {one.name: np.array(plain[one.name], float) for one in fields(cls)}
+        numbers["H"] = numbers["H"].reshape(-1, len(numbers["r"]))
+        numbers["factors"] = numbers["factors"].reshape(-1, 3).astype(np.int64)
+        numbers["K"] = numbers["K"].reshape(len(numbers["r"]), -1)
         return cls(**numbers)

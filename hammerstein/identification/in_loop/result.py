@@ -1,10 +1,11 @@
 """Model and fit report of a search for hysteresis in a loop."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.fit import Fit, Kind
@@ -59,7 +60,6 @@ def result_of(
     judged = _scores(candidates, held) if held else {}
     flags = tuple(record_flags(best, [*records, *held], [*starts, *held_starts]))
     swing = half_swing(records)
-    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in records])
     fit = Fit(
         inputs=one.inputs,
         outputs=one.outputs,
@@ -70,7 +70,7 @@ def result_of(
         operators=straight.operators,
         amplitude_v=float(swing.max()),
         amplitudes_v=tuple(swing.tolist()),
-        voltages=Voltages.of(records[0].rest_v, sent.min(axis=1), sent.max(axis=1)),
+        voltages=_voltages(records),
         sample_time_s=one.sample_time_s,
         offsets_um=offsets(best, records, starts),
         starts=starts,
@@ -92,3 +92,19 @@ def result_of(
 def _scores(candidates: Mapping[Kind, Candidate], records: Sequence[Record]) -> dict[Kind, Score]:
     starts = [start_of(record) for record in records]
     return {kind: score(candidate, records, starts) for kind, candidate in candidates.items()}
+
+
+def model_so_far(loop: LoopParameters, records: Sequence[Record], name: str) -> HammersteinModel:
+    """Model of a search that goes on, without a verdict; InputError if it is not stable.
+
+    records : fitted records, settled periods counted from one voltage
+    """
+    one, most_v = records[0], float(half_swing(records).max())
+    model = loop.model(name, one.sample_time_s, most_v, one.inputs, one.outputs)
+    instruments = Instruments.ideal(one.sample_time_s)
+    return replace(model, instruments=instruments, voltages=_voltages(records))
+
+
+def _voltages(records: Sequence[Record]) -> Voltages:
+    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in records])
+    return Voltages.of(records[0].rest_v, sent.min(axis=1), sent.max(axis=1))
