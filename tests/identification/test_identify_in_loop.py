@@ -206,6 +206,26 @@ def test_too_few_experiments_are_refused():
         identify_in_loop(records(count=2), SHORT)
 
 
+@pytest.mark.parametrize(("inputs", "outputs"), [(2, 1), (1, 2)])
+def test_other_numbers_of_inputs_and_outputs_are_refused_before_the_search(inputs, outputs):
+    told, rng = [], np.random.default_rng(1)
+    here = [
+        replace(
+            r,
+            u_v=r.u_v[[0] * inputs] + rng.normal(size=(inputs, 1)),
+            y_um=r.y_um[[0] * outputs],
+            inputs=(),
+            outputs=(),
+            rest_v=np.zeros(inputs),
+        )
+        for r in records()
+    ]
+    what = f"have {inputs} inputs? and {outputs} outputs?; hysteresis in the loop needs equal numbers"
+    with pytest.raises(InputError, match=what):
+        identify_in_loop(here, SHORT, progress=told.append)
+    assert told == []
+
+
 @pytest.fixture
 def arrays(tmp_path):
     here = records()

@@ -92,7 +92,7 @@ def identify_in_loop(
     Raises
     ------
     IdentificationError : too few experiments, or linear dynamics are as good on the selection experiments
-    InputError : records of several sample times, or a file of another search
+    InputError : several sample times, not as many inputs as outputs, or a file of another search
     """
     ready, held = from_one_point(from_last_rest(records), from_last_rest(validation) if validation else ())
     _refuse(ready, held)
@@ -312,6 +312,10 @@ def _refuse(records: Sequence[Record], held: Sequence[Record]) -> None:
             f"there {('is' if len(records) == 1 else 'are')} {len(records)}. Record more, at several "
             "amplitudes"
         )
+    m, p = len(records[0].u_v), len(records[0].y_um)
+    if m != p:
+        what = f"have {m} inputs and {p} outputs; hysteresis in the loop needs equal numbers"
+        raise InputError("records", what)
     if len({record.sample_time_s for record in (*records, *held)}) > 1:
         raise InputError("records", "have several sample times; resample them to the same sample time")
 

@@ -11,7 +11,6 @@ import numpy as np
 from hammerstein.arrays import Array, Complex, Indices
 from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
-from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.kernels import follow
 from hammerstein.identification.state_space_candidates import gain_model
@@ -195,14 +194,9 @@ class LoopParameters:
 
         amplitude_v : largest voltage of the records [V]
 
-        Raises InputError for another number of inputs than of outputs.
+        Raises InputError for a loop that is not stable.
         """
-        m, p = len(inputs), len(outputs)
-        if m != p:
-            raise InputError(
-                "records", f"have {m} inputs and {p} outputs; hysteresis in the loop needs equal numbers"
-            )
-        straight, dynamics = gain_model(np.eye(m)), self.dynamics(sample_time_s)
+        straight, dynamics = gain_model(np.eye(len(inputs))), self.dynamics(sample_time_s)
         return HammersteinModel(name, straight, dynamics, amplitude_v, tuple(inputs), tuple(outputs))
 
     def describe(self) -> str:
