@@ -12,7 +12,7 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-from hammerstein.identification.in_loop.selection import settled_periods
+from hammerstein.identification.in_loop.selection import settled_periods, with_period
 from hammerstein.records.record import Record
 
 TIME_S, SAMPLES = 1e-4, 1024
@@ -118,6 +118,41 @@ def test_a_settled_period_can_begin_anywhere():
     ]
     fits = [identify_in_loop(some, SHORT)[1] for some in (begun, turned)]
     assert max(fit.fit["in_loop"].nrmse_percent[0] for fit in fits) < 0.06  # the noise is 0.05 %
+
+
+def test_settled_periods_need_not_be_stated():
+    """As from a CSV file: the same model as with their length, and one note."""
+    here = records()
+    model, fit = identify_in_loop([replace(one, period_samples=None) for one in here], SHORT)
+    stated, known = identify_in_loop(here, SHORT)
+    assert model.digest() == stated.digest()
+    assert [note for note in fit.notes if note not in known.notes] == [
+        "taken for settled periods, because voltages and outputs repeat: 6 records"
+    ]
+
+
+def triangle(amplitude):
+    return amplitude * (2.0 * np.abs(np.arange(SAMPLES)[None] / SAMPLES - 0.5) - 0.5)
+
+
+@pytest.mark.parametrize("wave", [triangle(24.0), multisine(3, 6.0)], ids=["triangle", "multisine"])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+@pytest.mark.parametrize("step_v", [0.0, 1e-3])
+@pytest.mark.parametrize("periods", [2, 3.5])
+@pytest.mark.parametrize("settles", [True, False])
+def test_periods_are_seen_where_they_settled(wave, noise, step_v, periods, settles):
+    """Of a converter whose readings are one step off now and then, too. From rest they are none."""
+    rng, before = np.random.default_rng(1), 3 * SAMPLES * settles
+    u = np.tile(wave, 8)[:, : before + int(periods * SAMPLES)]
+    y = stack().respond(u)[0][:, before:]
+    y = y + noise * y.std() * rng.normal(size=y.shape)
+    u = u[:, before:]
+    if step_v:
+        u = step_v * np.round((u + 0.2 * step_v * rng.normal(size=u.shape)) / step_v)
+    record = Record(u, y, TIME_S)
+    assert with_period(record).period_samples == (SAMPLES if settles else None)
+    other = Record(np.hstack([u[:, :-9], 0.9 * u[:, -9:]]), y, TIME_S)
+    assert with_period(other) is other
 
 
 def test_linear_records_keep_the_linear_model():

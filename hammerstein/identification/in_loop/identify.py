@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import itertools
 import json
+import operator
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -18,11 +19,16 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.identification.fit import Fit
-from hammerstein.identification.identify import from_last_rest
+from hammerstein.identification.identify import from_last_rest, given_records
 from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.result import Found, model_so_far, result_of
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
-from hammerstein.identification.in_loop.selection import Selection, from_one_point, settled_periods
+from hammerstein.identification.in_loop.selection import (
+    Selection,
+    from_one_point,
+    settled_periods,
+    with_period,
+)
 from hammerstein.identification.in_loop.start import (
     linear_start,
     with_band,
@@ -34,6 +40,7 @@ from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import number_of
 from hammerstein.records.record import Record
 from hammerstein.runtime.resources import one_blas_thread
 
@@ -94,7 +101,9 @@ def identify_in_loop(
     IdentificationError : too few experiments, or linear dynamics are as good on the selection experiments
     InputError : several sample times, not as many inputs as outputs, or a file of another search
     """
-    ready, held = from_one_point(from_last_rest(records), from_last_rest(validation) if validation else ())
+    given = given_records(records), given_records(validation)
+    whole, others = (tuple(map(with_period, some)) for some in given)
+    ready, held = from_one_point(from_last_rest(whole), from_last_rest(others) if others else ())
     _refuse(ready, held)
 
     def write(found: LoopParameters) -> None:
@@ -110,7 +119,9 @@ def identify_in_loop(
             f"selection experiments, scaled to one size, linear dynamics alone {found.linear.percent:.3g} %: "
             "it does not improve the model. Identify without --hysteresis-in-loop"
         )
-    return result_of(found, ready, held, name)
+    repeated = sum(map(operator.is_not, itertools.chain(*given), (*whole, *others)))
+    note = f"taken for settled periods, because voltages and outputs repeat: {number_of(repeated, 'record')}"
+    return result_of(found, ready, held, name, [note] if repeated else [])
 
 
 class _Best(NamedTuple):

@@ -44,11 +44,12 @@ class Found:
 
 
 def result_of(
-    found: Found, records: tuple[Record, ...], held: tuple[Record, ...], name: str
+    found: Found, records: tuple[Record, ...], held: tuple[Record, ...], name: str, notes: Sequence[str] = ()
 ) -> tuple[HammersteinModel, Fit]:
     """Model and fit report.
 
     records, held : fitted and validation records, settled periods counted from one voltage
+    notes : on the search
     """
     one, straight = records[0], gain_model(np.eye(len(records[0].u_v)))
     candidates: dict[Kind, Candidate] = {
@@ -78,7 +79,7 @@ def result_of(
         trials=found.trials,
         order=len(found.loop.B),
         flags=flags,
-        notes=tuple(left_out([*records, *held])),
+        notes=(*notes, *left_out([*records, *held])),
         invertible=True,
         invertibility=INVERSE,
         verdict=verdict(judged or fitted, bool(judged), flags, kept="in_loop"),
