@@ -20,7 +20,6 @@ from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record, driven_inputs
-from hammerstein.records.turning_points import noise_rms, quantum
 
 Respond = Callable[[Array], tuple[Array, Any]]
 """Outputs (p, sample) from rest to inputs (m, sample), and the state after."""
@@ -30,12 +29,12 @@ SMALLEST = 0.02
 """Part of the largest record, below which a record counts no more: it holds noise."""
 MOST_BEFORE = 8
 """Periods that a simulation runs through at most before the one that counts."""
-REPEATED = 1e-6
-"""Part of its range by which a voltage may differ after a period: what a file rounds."""
-COARSEST = 1e-3
-"""Step of a converter in parts of the range, by which a measured voltage may differ, too."""
-PARTS, CHANCE = 8, 2.0
-"""A period has so many parts, in each of which settled outputs differ by at most so many times the noise."""
+REPEATED = 1e-3
+"""Part of its range by which a voltage may differ after a period: measured ones differ by 2e-4."""
+PARTS, CHANCE, LARGEST = 8, 3.0, 0.03
+"""In the first of so many parts of a period, settled outputs differ by at most so many times what they differ
+by elsewhere, and by at most this part of their range. What differs everywhere is noise, whose colour is that
+of the resonances, and drift; what differs at first alone began at rest."""
 
 
 def with_period(record: Record) -> Record:
@@ -46,30 +45,30 @@ def with_period(record: Record) -> Record:
     """
     n = 0 if record.period_samples else _repeats_after(record.u_v[list(driven_inputs(record))])
     moved = record.y_um[:, n : 2 * n] - record.y_um[:, :n]
-    for own, y in zip(moved, record.y_um, strict=True):
-        allowed = max(CHANCE * noise_rms(own), quantum(y), SETTLED * float(np.ptp(y)))
-        if not n or max(np.sqrt(np.mean(part**2)) for part in np.array_split(own, PARTS)) > allowed:
-            return record
-    return replace(record, period_samples=n, verified=True)
+    if not n:
+        return record
+    parts = np.sqrt([np.mean(part**2, axis=1) for part in np.array_split(moved, PARTS, axis=1)])
+    most, least = (part * np.ptp(record.y_um, axis=1) for part in (LARGEST, SETTLED))
+    settled = parts[0] <= np.clip(CHANCE * np.median(parts, axis=0), least, most)
+    return replace(record, period_samples=n, verified=True) if settled.all() else record
 
 
 def _repeats_after(u: Array) -> int:
     """Samples after which voltages (m, sample) repeat through all of a record; 0 if they do not."""
     u = (u - u.mean(axis=1, keepdims=True)) / np.ptp(u, axis=1, keepdims=True)
-    step = max([REPEATED, *(q for row in u if (q := quantum(row)) < COARSEST)])
     count = u.shape[1]
     lags = np.arange(count // 2 + 1)
     alike = np.fft.irfft((np.abs(np.fft.rfft(u, 2 * count)) ** 2).sum(axis=0))[lags]
     power = np.concatenate([[0.0], np.cumsum((u * u).sum(axis=0))])
     left = power[count - lags] + power[-1] - power[lags] - 2.0 * alike  # sum of (u[t + lag] - u[t])^2
-    close = left <= step**2 * (count - lags)
+    close = left <= REPEATED**2 * (count - lags)
     close[: np.argmin(close)] = False  # a slow voltage is close to itself after a few samples
     near = np.flatnonzero(close)
     if not len(near):
         return 0
     near = near[near - near[0] == np.arange(len(near))]  # around one period: whole multiples repeat, too
     n = int(near[np.argmin(left[near])])
-    return n if np.abs(u[:, n:] - u[:, :-n]).max() <= 3.0 * step else 0
+    return n if np.abs(u[:, n:] - u[:, :-n]).max() <= 3.0 * REPEATED else 0
 
 
 def from_one_point(
