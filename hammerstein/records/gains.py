@@ -1,5 +1,6 @@
 """Gain from each voltage to each output, which reveals wrong units."""
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ LEAST_TRAVEL_UM = 0.5
 """Travel below which they are rather mm: most stages move 1 to 500 um."""
 ANSWERED = 0.02
 """Part of an output's power that the voltages explain, below which it is noise or another signal."""
+PAST, CHANCE, ROUNDING = 4, 4.0, 1e-9
+"""Samples before that tell the next one, standard errors that are no chance, and power that is none."""
 SLOW_HZ, FINE = 100.0, 100
 """Converters run at 10 to 50 kHz; with times of 1000 times the size that is 10 to 50 Hz. A cycle of so many
 samples asks for no rate as slow as that."""
@@ -94,7 +97,8 @@ def pair_gains(records: Sequence[Record]) -> list[Gain]:
 def doubtful_responses(records: Sequence[Record]) -> Iterator[str]:
     """Sentences about records whose outputs are a copy of a voltage, or do not answer to any.
 
-    An output answers where the voltages, their squares and their rates explain a part of it.
+    An output answers where the voltages, their squares and their rates explain a part of it, or the last
+    voltages a part of what its own last samples leave.
 
     Examples
     --------
@@ -112,7 +116,7 @@ def doubtful_responses(records: Sequence[Record]) -> Iterator[str]:
             if np.ptp(y) > 0.0 and np.array_equal(u, y)
         ]
         yield from copies
-        if not copies and _explained(record) < ANSWERED:
+        if not copies and not _answers(record):
             yield (
                 f"no output of {record.source} responds to its voltages: they explain less than "
                 f"{100 * ANSWERED:g} % of each"
@@ -177,14 +181,40 @@ def doubtful_clocks(records: Sequence[Record]) -> Iterator[str]:
             )
 
 
-def _explained(record: Record) -> float:
-    """Largest part of the power of an output that voltages, their squares and their rates explain."""
+def _answers(record: Record) -> bool:
+    """Whether voltages, their squares and their rates explain a part of an output, or of its next sample.
+
+    Beyond a resonance an output hardly resembles the voltage. But the last voltages explain what its own
+    last samples do not.
+    """
     u = record.u_v[list(driven_inputs(record))]
     u = (u - u.mean(axis=1, keepdims=True)) / np.ptp(u, axis=1, keepdims=True)
-    x = np.vstack([u, u**2, np.gradient(u, axis=1), np.ones((1, u.shape[1]))]).T
-    left = record.y_um.T - x @ np.linalg.lstsq(x, record.y_um.T, rcond=None)[0]
-    power = np.maximum(record.y_um.var(axis=1), np.finfo(float).tiny)
-    return float(np.max(1.0 - left.var(axis=0) / power))
+    one, at_once = np.ones((1, record.samples)), [u, u**2, np.gradient(u, axis=1)]
+    last = [_late(u, k) for k in range(PAST + 1)]
+    for y in record.y_um - record.y_um.mean(axis=1, keepdims=True):
+        own = [one, *(_late(y[None], k) for k in range(1, PAST + 1))]
+        if np.ptp(y) > 0.0 and (_explain(y, [one], at_once) or _explain(y, own, last)):
+            return True
+    return False
+
+
+def _late(rows: Array, samples: int) -> Array:
+    return rows[:, np.maximum(np.arange(rows.shape[1]) - samples, 0)]
+
+
+def _explain(y: Array, known: Sequence[Array], more: Sequence[Array]) -> bool:
+    """Whether further rows explain a part of an output that known ones leave, by more than chance does.
+
+    Of n samples of white noise, p rows explain (p / n) F, and F = 1 +- sqrt(2 / p + 2 / n).
+    """
+    p = sum(map(len, more))
+    n = max(len(y) - p - sum(map(len, known)), 1)
+    squares = []
+    for rows in (known, [*known, *more]):
+        x = np.vstack(rows).T
+        squares.append(float(np.mean((y - x @ np.linalg.lstsq(x, y, rcond=None)[0]) ** 2)))
+    chance = (1.0 + CHANCE * math.sqrt(2.0 / p + 2.0 / n)) * p / n
+    return squares[0] - squares[1] > (ANSWERED + chance) * (squares[1] + ROUNDING * float(y.var()))
 
 
 def doubtful_gains(gains: Sequence[Gain]) -> list[str]:

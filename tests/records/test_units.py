@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from record_cases import TIME, N, U, X, message, read, table_text
+from scipy.signal import lfilter
 
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
@@ -15,6 +16,7 @@ from hammerstein.records.gains import (
     doubtful_gains,
     doubtful_jumps,
     doubtful_order,
+    doubtful_responses,
     pair_gains,
 )
 from hammerstein.records.readers import read_columns
@@ -282,3 +284,34 @@ def test_seconds_taken_for_microseconds_are_told_and_fitted(tmp_path, capsys):
     line = ["identify", str(tmp_path / "r.csv"), "--no-figures", "--operators", "4"]
     assert _ended([*line, "--out", str(tmp_path / "m.json")]) == 0
     assert capsys.readouterr().err.count("If its times are in seconds, name their column t_s") == 1
+
+
+@pytest.mark.parametrize("resonance_hz", [20.0, 100.0, 400.0])
+@pytest.mark.parametrize("damping", [0.02, 0.1])
+def test_an_output_beyond_its_resonance_answers(resonance_hz, damping):
+    """White voltage up to 5 kHz: that of the same instant, its square and rate explain under 2 % of it."""
+    rng, pole = np.random.default_rng(1), 2e-4 * np.pi * resonance_hz * (-damping + 1j)
+    u, a = rng.normal(size=8192), [1.0, -2.0 * np.exp(pole).real, np.exp(2.0 * pole.real)]
+    y = lfilter([0.0, sum(a)], a, u)
+    y += 0.001 * y.std() * rng.normal(size=y.shape)
+    x = np.stack([u, u**2, np.gradient(u), np.ones_like(u)])
+    left = y - np.linalg.lstsq(x.T, y, rcond=None)[0] @ x
+    assert left.var() > 0.98 * y.var()
+    assert not list(doubtful_responses([Record([u], [y], 1e-4, verified=True)]))
+
+
+@pytest.mark.parametrize("samples", [60, 300, 8192])
+@pytest.mark.parametrize("seed", range(8))
+def test_noise_of_any_length_answers_to_nothing(samples, seed):
+    """Of three voltages and three outputs: with 60 samples, chance alone explains 15 % of each."""
+    rng = np.random.default_rng(seed)
+    noise = Record(rng.normal(size=(3, samples)), rng.normal(size=(3, samples)), 1e-4, verified=True)
+    assert list(doubtful_responses([noise]))
+
+
+@pytest.mark.parametrize("kind", ["creep", "square", "hysteresis"])
+def test_slow_and_square_outputs_answer(kind):
+    u = np.sin(np.arange(2000) / 20.0)
+    y = {"creep": lfilter([0.01], [1.0, -0.99], u), "square": u**2, "hysteresis": play(u, [0.6])[0]}[kind]
+    y = y + 0.02 * y.std() * np.random.default_rng(1).normal(size=y.shape)
+    assert not list(doubtful_responses([Record([u], [y], 1e-4, verified=True)]))
