@@ -207,10 +207,13 @@ def test_the_time_before_an_interruption_counts(tmp_path, monkeypatch):
     short, long = replace(SHORT, minutes=0.5), replace(SHORT, minutes=10000.0)
     with pytest.raises(KeyboardInterrupt):
         identify_in_loop(here, short, kept=kept, progress=lambda text: text.startswith("all") and stop())
-    identify_in_loop(here, short, kept=kept, progress=told.append)
+    _, cut = identify_in_loop(here, short, kept=kept, progress=told.append)
     assert all(text.startswith("all experiments") for text in told[1:])
-    identify_in_loop(here, long, kept=kept, progress=more.append)
+    _, whole = identify_in_loop(here, long, kept=kept, progress=more.append)
     assert any("2 products" in text for text in more)
+    note = "the time limit of 0.5 minutes ended the search; --minutes gives it more"
+    assert [note in fit.notes for fit in (cut, whole)] == [True, False]
+    assert not any("time limit" in note for note in whole.notes)
 
 
 def stop():

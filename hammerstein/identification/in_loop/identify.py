@@ -112,7 +112,8 @@ def identify_in_loop(
                 model_so_far(found, ready, name).save(playable)
 
     with ThreadPoolExecutor(2) as pool:
-        found = _Work(settings or LoopSettings(), kept, ready, progress, write, pool).chosen(ready)
+        work = _Work(settings or LoopSettings(), kept, ready, progress, write, pool)
+        found = work.chosen(ready)
     if not found.chosen.percent < found.linear.percent:
         raise IdentificationError(
             f"hysteresis in the loop has an error of {found.chosen.percent:.3g} % of the range on the "
@@ -121,7 +122,7 @@ def identify_in_loop(
         )
     repeated = sum(map(operator.is_not, itertools.chain(*given), (*whole, *others)))
     note = f"taken for settled periods, because voltages and outputs repeat: {number_of(repeated, 'record')}"
-    return result_of(found, ready, held, name, [note] if repeated else [])
+    return result_of(found, ready, held, name, [*([note] if repeated else []), *work.notes()])
 
 
 class _Best(NamedTuple):
@@ -155,6 +156,13 @@ class _Work:
         self.begun_s, self.written_s = time.monotonic(), -np.inf
         self.trials: list[Trial] = []
         self.stages: list[_Best] = []
+        self.late = False
+
+    def notes(self) -> Iterator[str]:
+        """What a reader must know of how the search ended."""
+        if self.late:
+            limit = f"the time limit of {self.settings.minutes:g} minutes"
+            yield f"{limit} ended the search; --minutes gives it more"
 
     def chosen(self, records: Sequence[Record]) -> Found:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
@@ -226,6 +234,7 @@ class _Work:
             self.before = []
             return None
         self.begun_s = time.monotonic() - stage.seconds
+        self.late |= stage.cut
         return stage
 
     def _searched(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
@@ -258,14 +267,17 @@ class _Work:
             self._show(found)
             left = float(np.sqrt(np.mean(progress.rms**2)))
             self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
-            if self._is_late():
+            if progress.step + 1 < best.steps and self._is_late():
                 raise StopIteration
 
         _run(found, periods, self.pool, tell, Search(steps=best.steps))
         return found
 
     def _is_late(self, part: float = 1.0) -> bool:
-        return time.monotonic() > self.begun_s + part * 60.0 * self.settings.minutes
+        """Whether the time is over for what would come next, which a note then says."""
+        late = time.monotonic() > self.begun_s + part * 60.0 * self.settings.minutes
+        self.late |= late
+        return late
 
     def _marked(self, best: _Best) -> tuple[Trial, ...]:
         return tuple(replace(trial, kept=trial is best.trial) for trial in self.trials)
