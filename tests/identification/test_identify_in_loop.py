@@ -1,5 +1,6 @@
 """From records to hysteresis in the loop: the command, its rival, its resumption and what it refuses."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,7 +14,8 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-from hammerstein.identification.in_loop.selection import settled_periods, with_period
+from hammerstein.identification.in_loop.selection import Selection, settled_periods, with_period
+from hammerstein.identification.model_selection import Trial
 from hammerstein.records.record import Record
 
 TIME_S, SAMPLES = 1e-4, 1024
@@ -43,11 +45,11 @@ def settled(block, u):
     return block.respond(np.hstack([u, u, u]))[0][:, -SAMPLES:]
 
 
-def records(block=None, count=6):
+def records(block=None, count=6, levels_v=LEVELS_V):
     """Two settled periods of each experiment, with half a percent of noise."""
     block, found = block or stack(), []
     for k in range(count):
-        u = multisine(k, LEVELS_V[k % 3])
+        u = multisine(k, levels_v[k % 3])
         y = np.tile(settled(block, u), 2)
         y = y + 0.005 * y.std() * np.random.default_rng(100 + k).normal(size=y.shape)
         found.append(Record(np.tile(u, 2), y, TIME_S, source=f"record {k}", period_samples=SAMPLES))
@@ -105,6 +107,34 @@ def test_a_period_counts_once_two_in_a_row_differ_by_a_thousandth(ratio, kept):
     (found,) = settled_periods([record], dying)
     needed = next(k for k in range(9) if 0.1 * ratio**k * (1.0 - ratio) < 1e-3)
     assert found.warm == n * (needed + 1)
+
+
+ONE = "all records have one amplitude; several are needed to tell what changes with the amplitude"
+
+
+@pytest.mark.parametrize(("levels_v", "said"), [((6.0, 6.1, 5.9), True), ((3.0, 6.0, 12.0), False)])
+def test_records_of_one_amplitude_are_told(levels_v, said):
+    assert (ONE in identify_in_loop(records(levels_v=levels_v), SHORT)[1].notes) == said
+
+
+@pytest.mark.parametrize(("part", "refused"), [(0.995, True), (0.98, False)])
+def test_a_loop_must_be_better_than_linear_dynamics_by_one_percent(monkeypatch, part, refused):
+    """As one structure must be than another; of equal errors chance tells which is less."""
+    plain = Selection.of_loop
+
+    def of_loop(self, found, pool):
+        return replace(plain(self, found, pool), squares=part**2 * self.linear.squares)
+
+    def of_linear(self, block):
+        trial = Trial("linear", 1, np.array([1e-4]))
+        object.__setattr__(self, "linear", trial)
+        return trial
+
+    monkeypatch.setattr(Selection, "of_loop", of_loop)
+    monkeypatch.setattr(Selection, "of_linear", of_linear)
+    told = pytest.raises(IdentificationError, match="does not improve") if refused else nullcontext()
+    with told:
+        identify_in_loop(records(), SHORT)
 
 
 @pytest.mark.full

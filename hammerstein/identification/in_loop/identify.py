@@ -41,7 +41,7 @@ from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
 from hammerstein.runtime.resources import one_blas_thread
 
 STATES = (2, 4, 8, 16)
@@ -53,6 +53,8 @@ PATIENCE = 4
 """Steps in a row after which a search ends that lowers the error of what is held back no more."""
 GAINED = 0.99
 """Part of the error held back that must be left, or more paths are not worth their numbers."""
+ALIKE = 0.05
+"""Part by which the amplitudes of records differ that count as one."""
 EVERY_S = 60.0
 """Between two models that are written while a search goes on."""
 FORMAT = "hammerstein-feedback-search/2"
@@ -114,15 +116,14 @@ def identify_in_loop(
     with ThreadPoolExecutor(2) as pool:
         work = _Work(settings or LoopSettings(), kept, ready, progress, write, pool)
         found = work.chosen(ready)
-    if not found.chosen.percent < found.linear.percent:
+    if not found.chosen.percent < GAINED * found.linear.percent:
         raise IdentificationError(
             f"hysteresis in the loop has an error of {found.chosen.percent:.3g} % of the range on the "
             f"selection experiments, scaled to one size, linear dynamics alone {found.linear.percent:.3g} %: "
             "it does not improve the model. Identify without --hysteresis-in-loop"
         )
     repeated = sum(map(operator.is_not, itertools.chain(*given), (*whole, *others)))
-    note = f"taken for settled periods, because voltages and outputs repeat: {number_of(repeated, 'record')}"
-    return result_of(found, ready, held, name, [*([note] if repeated else []), *work.notes()])
+    return result_of(found, ready, held, name, [*_notes(ready, repeated), *work.notes()])
 
 
 class _Best(NamedTuple):
@@ -341,6 +342,19 @@ def _refuse(records: Sequence[Record], held: Sequence[Record]) -> None:
         raise InputError("records", what)
     if len({record.sample_time_s for record in (*records, *held)}) > 1:
         raise InputError("records", "have several sample times; resample them to the same sample time")
+
+
+def _notes(records: Sequence[Record], repeated: int) -> Iterator[str]:
+    """What a reader must know of the records, of which some were found to repeat."""
+    if repeated:
+        count = number_of(repeated, "record")
+        yield f"taken for settled periods, because voltages and outputs repeat: {count}"
+    sizes = [
+        [float(record.u_v[k].std()) for record in records if k in driven_inputs(record)]
+        for k in range(len(records[0].u_v))
+    ]
+    if all(min(own) > (1.0 - ALIKE) * max(own) for own in sizes if own):
+        yield "all records have one amplitude; several are needed to tell what changes with the amplitude"
 
 
 def _linear(records: Sequence[Record], order: int | None) -> Iterator[LinearBlock]:
