@@ -208,7 +208,7 @@ def test_an_interrupted_search_ends_as_one_that_was_not(tmp_path):
     kept, here = tmp_path / "search.json", records()
     whole, told = [], []
     model, fit = identify_in_loop(here, SHORT, progress=whole.append)
-    last = next(text for text in reversed(whole) if ", 2 products, step 0" in text)
+    last = next(text for text in reversed(whole) if ", step 0" in text and not text.startswith("all"))
     for where in (last, "all experiments, step 2 "):
         interrupted(here, where, kept=kept)
     again, found = identify_in_loop(here, SHORT, kept=kept, progress=told.append)
@@ -221,12 +221,12 @@ def test_an_interrupted_search_ends_as_one_that_was_not(tmp_path):
 
 
 def test_an_interrupted_search_leaves_a_model_that_can_be_played(tmp_path):
-    """Its output at 9 V, which no record has, differs from the stage's by less than 5 %."""
+    """Its output at 9 V, which no record has, differs from the stage's by less than 10 %."""
     here, u, file = records(), multisine(50, 9.0), tmp_path / "m.partial.json"
     interrupted(here, "all experiments, step 2 ", playable=file)
     expected = settled(stack(), u)
     found = HammersteinModel.load(file).simulate(np.tile(u, 3), TIME_S).position_um[:, -SAMPLES:]
-    assert (found - expected).std() < 0.05 * expected.std()
+    assert (found - expected).std() < 0.1 * expected.std()
 
 
 def test_the_time_before_an_interruption_counts(tmp_path, monkeypatch):
@@ -327,7 +327,7 @@ def test_the_command_writes_a_model_and_no_search(arrays):
     assert "Rms error: " in done.output
     report = (arrays.out.parent / "m_fit" / "report.md").read_text()
     assert "Hysteresis in the loop improves the model" in report
-    assert "| **order 4, 1 path of 4 plays in the loop** |" in report
+    assert "| **order 4, 1 path of 4 plays in the loop, twice per sample** |" in report
     again = next(line for line in done.output.replace("\n", " ").split("then hammerstein ")[1:]).split()
     assert {"--hysteresis-in-loop", "--validate", "--axes"} <= set(again)
     assert HammersteinModel.load(arrays.out).dynamics.kind == "feedback_hysteresis"
