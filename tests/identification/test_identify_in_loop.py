@@ -229,6 +229,29 @@ def test_an_interrupted_search_leaves_a_model_that_can_be_played(tmp_path):
     assert (found - expected).std() < 0.1 * expected.std()
 
 
+def test_a_model_so_far_gives_way_to_better_ones_alone(tmp_path, monkeypatch):
+    """A larger order begins worse than the smaller one ended."""
+    place, told, written = "hammerstein.identification.in_loop.identify", [], []
+
+    def model_so_far(*_):
+        written.append(told[-1])
+        return SimpleNamespace(save=lambda file: None)
+
+    monkeypatch.setattr(f"{place}.EVERY_S", 0.0)
+    monkeypatch.setattr(f"{place}.model_so_far", model_so_far)
+    identify_in_loop(
+        records(), replace(SHORT, order=None), playable=tmp_path / "m.json", progress=told.append
+    )
+    percent = [
+        float(text.split(": ")[1].split(" %")[0])
+        for text in written
+        if text.endswith("selection experiments")
+    ]
+    assert len(percent) > 5
+    assert percent == sorted(percent, reverse=True)
+    assert any(text.startswith("order 4") for text in told)
+
+
 def test_the_time_before_an_interruption_counts(tmp_path, monkeypatch):
     """A stage that the clock cut is not searched again, unless there is more time now."""
     kept, here, told, more = tmp_path / "search.json", records(), [], []

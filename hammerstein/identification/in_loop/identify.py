@@ -199,7 +199,7 @@ class _Work:
         """
         begun = linear_start(block, parts.seen)
         return self._grown(
-            self._tried(begun, None, parts),
+            self._tried(begun, parts),
             parts,
             lambda found: with_ends(begun),
             lambda found: None if found.H.size else with_ends(found),  # the linear start led elsewhere
@@ -213,15 +213,15 @@ class _Work:
         for grow in growing:
             larger = None if self._is_late(0.5) else grow(best.found)
             if larger is not None:
-                best = self._better_of(best, self._tried(larger, best, parts))
+                best = self._better_of(best, self._tried(larger, parts))
         return best
 
     def _better_of(self, best: _Best | None, tried: _Best) -> _Best:
         return tried if best is None or tried.trial.percent < GAINED * best.trial.percent else best
 
-    def _tried(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
+    def _tried(self, begun: LoopParameters, parts: Selection) -> _Best:
         """Search until the error held back falls no more, or take what was found before an interruption."""
-        stage = self._done(begun) or self._searched(begun, best, parts)
+        stage = self._done(begun) or self._searched(begun, parts)
         self.stages.append(stage)
         self.trials.append(stage.trial)
         self._keep()
@@ -238,8 +238,8 @@ class _Work:
         self.late |= stage.cut
         return stage
 
-    def _searched(self, begun: LoopParameters, best: _Best | None, parts: Selection) -> _Best:
-        least = np.inf if best is None else GAINED * best.trial.percent
+    def _searched(self, begun: LoopParameters, parts: Selection) -> _Best:
+        least = min((stage.trial.percent for stage in self.stages), default=np.inf)
         tried = _Best(begun, Trial(begun.describe(), len(begun.vector()), np.array([np.inf])), 0)
 
         def tell(progress: Progress) -> None:
@@ -248,7 +248,7 @@ class _Work:
             self.tell(f"{now.name}, step {progress.step}: {now.percent:.3g} % on the selection experiments")
             if now.percent < tried.trial.percent:
                 tried = _Best(progress.found, now, progress.step + 1)
-                if now.percent < least:
+                if now.percent < least:  # of all orders
                     self._show(progress.found)
             late = self._is_late(0.5)
             tried = tried._replace(cut=late)
@@ -265,9 +265,9 @@ class _Work:
         def tell(progress: Progress) -> None:
             nonlocal found
             found = progress.found
-            self._show(found)
             left = float(np.sqrt(np.mean(progress.rms**2)))
             self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
+            self._show(found)
             if progress.step + 1 < best.steps and self._is_late():
                 raise StopIteration
 
