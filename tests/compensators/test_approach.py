@@ -9,7 +9,7 @@ import theory
 
 from hammerstein import HammersteinModel
 from hammerstein.commands.cli import main
-from hammerstein.compensators.added_motion import approached
+from hammerstein.compensators.added_motion import _beginning, approached
 from hammerstein.dynamics.models import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
@@ -100,3 +100,14 @@ def test_an_output_without_backlash_keeps_its_path():
     np.testing.assert_array_equal(found.path_um[1], path[1])
     assert found.path_um[0].min() == pytest.approx(1.0, abs=1e-3)
     assert found.statement(["x", "y"]) == "Holds reached from one side: x 1 from below, 1 by a detour."
+
+
+@pytest.mark.parametrize(("third", "smooth"), [(0.2, True), (-0.4, True), (0.7, False), (-1.5, False)])
+def test_a_corner_or_noise_at_the_beginning_is_no_acceleration(third, smooth):
+    """A cubic through the first four samples has it; after a corner, the first step is the velocity."""
+    k = np.arange(6.0)
+    path = np.cumsum([0.0, 3.0, 4.0, 5.0 + third, 6.0, 6.0])[None]  # second difference 1, then 1 + third
+    velocity, acceleration = _beginning(path, 1.0)
+    cubic = np.polynomial.polynomial.polyfit(k[:4], path[0, :4], 3)
+    assert velocity[0] == pytest.approx(cubic[1] if smooth else 3.0)
+    assert acceleration[0] == pytest.approx(2.0 * cubic[2] if smooth else 0.0, abs=1e-12)

@@ -324,3 +324,12 @@ def test_ends_of_slow_loops_are_those_that_it_reaches(size):
     for end, found in zip(ends.T, here.slow_ends(ends).T, strict=True):
         y, _ = here.respond(end[:, None] * turns)
         np.testing.assert_allclose(found, 0.5 * (y[:, -4001] - y[:, -1]), rtol=0.01)
+
+
+@pytest.mark.parametrize("pole", [-0.3, 0.3])
+def test_poles_of_a_continuous_loop_belong_left_of_the_axis(pole):
+    """The worst of them decides, whatever the others are, where nothing comes back from the hysteresis."""
+    rows = matrices(n=2)
+    alone = rows | {"A": np.diag([-5.0, pole]), "E": 0.0 * rows["E"]}
+    told = FeedbackHysteresisDynamics.of(plays(), **alone).instability()
+    assert ("a pole is 0.3 beyond" in told) if pole > 0.0 else told == ""
