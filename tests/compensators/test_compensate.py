@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hammerstein.blocks.voltages import Verdict
 from hammerstein.commands.cli import main
 from hammerstein.compensators.added_motion import lead_in
 from hammerstein.compensators.attempt import MissedPath, Prediction
@@ -501,3 +502,14 @@ def test_an_untested_rest_position_is_no_part_of_the_expected_error():
     assert "model 0.13 on validation records" in noise.statement(("x",))
     path = dataclasses.replace(known, path=np.array([1.2e-5])).statement(("x",))
     assert "(path 0.00001, " in path
+
+
+def test_the_largest_error_of_a_model_is_what_noise_alone_does_not_make():
+    """Of 150,000 samples of normal noise, one is 4.5 times the rms away."""
+    known = Verdict(
+        flagged=False, held_out=True, rms_um=(0.05, 0.05), noise_um=(0.01, 0.01), largest_um=(0.2, 0.04)
+    )
+    model = dataclasses.replace(HammersteinModel.load("duo_bimorph_static"), verdict=known)
+    prediction = model.compensate(np.zeros((2, 100))).prediction
+    np.testing.assert_allclose(prediction.largest, [0.2 - 4.5 * 0.01, 0.04 - 4.5 * 0.01], atol=1e-12)
+    assert "model 0.049, at most 0.16 on validation records" in prediction.statement(("x", "y"))
