@@ -164,18 +164,6 @@ def _pytest(tree: Path, names: Sequence[str], loops: str | None) -> int:
 
     with tempfile.TemporaryDirectory() as cache:
         os.environ["HAMMERSTEIN_CACHE"] = cache
-        return int(
-            pytest.main(
-                [
-                    "-n0",
-                    "-x",
-                    "-q",
-                    "--full",
-                    "-p",
-                    "no:cacheprovider",
-                    "--tb=no",
-                    f"--basetemp={cache}/t",
-                    *names,
-                ]
-            )
-        )
+        options = ["-n0", "-x", "-q", "-p", "no:cacheprovider", "--tb=no", f"--basetemp={cache}/t"]
+        options += ["--full"] * any(name.startswith("tests/") for name in names)  # who else does not know it
+        return int(pytest.main([*options, *names]))
