@@ -321,14 +321,15 @@ def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
         drive = law.drive_for(np.tile(reference_um, (1, periods + ends)))
         one, next_one = (drive[:, (periods - n) * samples :][:, :samples] for n in (1 + turns, 1))
         change = float(np.abs(next_one - one).max())
-        if change <= SETTLED * float(law.range.span_v.max()):
+        left = getattr(law, "leaves", 0.0) * float(np.ptp(next_one, axis=1).max())
+        if change <= max(SETTLED * float(law.range.span_v.max()), left):
             return next_one.copy()
     raise SimulationError(
         f"The drive still changes by {change:.3g} V from one period to the next after "
         f"{turns * TRIED_PERIODS[-1]} periods. "
         + (
             "Creep in the model causes this: use a model without creep for a table."
-            if any(axis.creep for axis in getattr(model.dynamics, "axes", ()))
+            if any(getattr(axis, "creep", ()) for axis in getattr(model.dynamics, "axes", ()))
             else "Use a law without dynamics, such as exact_inverse, or a longer period."
         )
     )

@@ -123,7 +123,10 @@ def test_nothing_stays_behind_when_the_parent_is_ended(folder, started, number):
         assert code == 130
         assert error.splitlines()[-1] == ENDED
     assert json.loads((folder / "r/a/report.json").read_text())["name"] == "a"
-    assert not [p for p in (folder / "r").rglob(".*") if p.name != ".hammerstein.json"]
+    kept = {".hammerstein.json"}
+    if number == signal.SIGKILL:  # nobody can clear a report that is just being written; the next run does
+        kept.add(".hammerstein-new")
+    assert not [p for p in (folder / "r").rglob(".*") if p.name not in kept]
 
 
 def test_sigterm_ends_a_single_scenario_like_ctrl_c(folder, started):

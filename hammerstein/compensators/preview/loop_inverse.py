@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -218,6 +218,9 @@ class LoopInverseLaw(Law[LoopPathState]):
     Source: fixed-point iteration on what a linear model leaves of the nonlinearity, with the outputs
     prescribed; Devasia, Chen and Paden, IEEE Transactions on Automatic Control 41 (1996) 930-942, section 3.
     """
+
+    leaves: ClassVar[float] = ENOUGH
+    """Part of a path by which periods of its drive may differ."""
 
     def __init__(
         self,
