@@ -322,7 +322,7 @@ def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
         one, next_one = (drive[:, (periods - n) * samples :][:, :samples] for n in (1 + turns, 1))
         change = float(np.abs(next_one - one).max())
         left = getattr(law, "leaves", 0.0) * float(np.ptp(next_one, axis=1).max())
-        if change <= max(SETTLED * float(law.range.span_v.max()), left):
+        if change <= SETTLED * float(law.range.span_v.max()) + left:
             return next_one.copy()
     raise SimulationError(
         f"The drive still changes by {change:.3g} V from one period to the next after "
