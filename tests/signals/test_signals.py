@@ -170,3 +170,12 @@ def test_one_offset_is_that_of_the_axis_that_moves_and_others_are_one_for_each()
             np.testing.assert_allclose((moved - without).T, np.tile(expected, (200, 1)), atol=1e-12)
         with pytest.raises(InputError, match=f"there are {axes} axes"):
             Sine(amplitude=2.0, frequency_hz=50.0, axis=1, offset=(1.0,) * (axes + 1)).sample(time_s, axes)
+
+
+@pytest.mark.parametrize("rest", [(0.0, 0.0), (40.0, 0.0), (0.0, -3.0), (40.0, -3.0)])
+def test_a_signal_stands_where_each_axis_rests(rest):
+    """One axis at rest at 0 does not take the other one there."""
+    sine = Sine(amplitude=2.0, frequency_hz=5.0)
+    time_s = np.arange(50) * 1e-3
+    expected = sine.sample(time_s, 2) + np.array(rest)[:, None]
+    np.testing.assert_allclose(sine.sample(time_s, 2, rest), expected, rtol=1e-12)
