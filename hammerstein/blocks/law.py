@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -128,6 +128,22 @@ class Law(WithMemory[S]):
     origin_um: Array
     preview_samples: int = 0
     sample_time_s: float | None = None  # the grid it was designed for; None: any
+    leaves: ClassVar[float] = 0.0
+    """Part of a path by which periods of a drive for it may differ."""
+
+    def softens(self, reference_um: Array) -> bool:
+        """Whether a path (p, N) begins where the law does not follow it, but by a way of its own."""
+        return False
+
+    @property
+    def start_samples(self) -> int:
+        """Samples of a path that must be known for its start."""
+        return self.preview_samples
+
+    @property
+    def delay_samples(self) -> int:
+        """Samples by which the position comes late."""
+        return 0
 
     @abstractmethod
     def _respond(self, reference_um: Array, start: S) -> tuple[Array, S]:

@@ -69,7 +69,7 @@ class Attempt:
         ends, the whole error counts.
         """
         wide = widened(limits)
-        if wide is None or self.softened:
+        if wide is None or self.law.softens(self.reference_um):
             return self.path_error_um
         try:
             free = Attempt.of(model, wide, compensator, self.reference_um, self.lead)
@@ -79,14 +79,9 @@ class Attempt:
         return np.asarray(np.abs(change[:, self.lead :]).max(axis=1))
 
     @property
-    def softened(self) -> bool:
-        """Whether the law takes another way to a path that does not begin where the actuator stands."""
-        return bool(getattr(self.law, "softens", lambda path: False)(self.reference_um))
-
-    @property
     def complete(self) -> bool:
         """Whether the drive is never at its range, nor the path left otherwise."""
-        return self.predicted.complete and not self.softened
+        return self.predicted.complete and not self.law.softens(self.reference_um)
 
     @property
     def path_error_um(self) -> Array:

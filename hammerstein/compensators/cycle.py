@@ -314,14 +314,14 @@ def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
     Raises SimulationError where the periods do not become alike.
     """
     samples = reference_um.shape[1]
-    ends = -(-int(getattr(law, "start_samples", law.preview_samples)) // samples)
+    ends = -(-law.start_samples // samples)
     turns = math.ceil(SHORTEST_TRY_S / (samples * model.instruments.drive.sample_time_s))
     change = np.inf
     for periods in (turns * tried for tried in TRIED_PERIODS):
         drive = law.drive_for(np.tile(reference_um, (1, periods + ends)))
         one, next_one = (drive[:, (periods - n) * samples :][:, :samples] for n in (1 + turns, 1))
         change = float(np.abs(next_one - one).max())
-        left = getattr(law, "leaves", 0.0) * float(np.ptp(next_one, axis=1).max())
+        left = law.leaves * float(np.ptp(next_one, axis=1).max())
         if change <= SETTLED * float(law.range.span_v.max()) + left:
             return next_one.copy()
     raise SimulationError(

@@ -228,7 +228,7 @@ def shortfall(
     before, memory = model.hysteresis.standing(law.range.history())
     v, _ = model.static_response(sent, memory)
     position, _ = on_grid(model.dynamics, sample_time_s).respond(v - before[:, None])
-    delay = int(getattr(law, "delay_samples", 0))
+    delay = law.delay_samples
     asked = np.pad(reference, ((0, 0), (delay, 0)))[:, : reference.shape[1]]
     bends = np.zeros(reference.shape)
     bends[:, 1:-1] = np.abs(np.diff(reference, 2, axis=1))

@@ -215,30 +215,16 @@ class FeedbackBlock(SteppedBlock, ByValue):
         """
         slope, own = self.hysteresis.gain(SMALL), self.hysteresis.on_grid(sample_time_s)
         a, b = self.A + self.E @ slope @ self.F, self.B + self.E @ slope @ self.G
-        step, first, rise = _with_rising(a, self.E, sample_time_s)
-        now, whole = (_with_rising(a, b, time_s)[1] for time_s in (sample_time_s - late_s, sample_time_s))
-        late = self.n_inputs if late_s else 0  # the last input is a state until the new one arrives
-
-        def of_state(by_input: Array, by_x: Array) -> Array:
-            return np.hstack([by_input[:, :late], by_x])
-
-        def below(rows: Array, top: Array) -> Array:
-            return np.vstack([top[:late, : rows.shape[1]], rows])
-
-        step, nothing = of_state(whole - now, step), np.zeros((late, len(step) + late + 2 * len(slope)))
-        f, g, e, more = of_state(self.G, self.F), self.G * (not late), first, np.zeros((0, len(slope)))
+        linear = LinearBlock(a, b, *self._seen, CONTINUOUS).held(sample_time_s, late_s)
+        late = len(linear.A) - len(a)  # the last input is a state until the new one arrives
+        steady, rising = _held_and_rising(a, self.E, sample_time_s)
+        e, rise = (np.pad(one, ((late, 0), (0, 0))) for one in (steady, rising))
+        here = replace(self, hysteresis=own, sample_time_s=sample_time_s)._around(linear, e)
         if self.hysteresis.on_grid(2.0 * sample_time_s) == own:
-            f, g = np.vstack([f, self.F @ step]), np.vstack([g, self.F @ now + self.G])
-            e, more = np.hstack([first - rise, rise]), self.F @ first
-        found = FeedbackBlock(
-            below(step, nothing),
-            below(now, np.eye(self.n_inputs)),
-            of_state(self.D, self.C),
-            self.D * (not late),
-            below(e, nothing),
-            *(f, g, own, sample_time_s, self.products, more),
-        )
-        return found._less(slope)
+            f = np.vstack([here.F, self.F @ linear.A[late:]])
+            g = np.vstack([here.G, self.F @ linear.B[late:] + self.G])
+            here = replace(here, E=np.hstack([e - rise, rise]), F=f, G=g, H=self.F @ steady)
+        return here._less(slope)
 
     def _less(self, slope: Array) -> FeedbackBlock:
         """The same block where w is that of Gamma, and was what is left of it beside a slope (q, h)."""
@@ -338,16 +324,16 @@ class FeedbackBlock(SteppedBlock, ByValue):
         return np.ascontiguousarray(np.hstack([self.B, self.E]).T)
 
 
-def _with_rising(a: Array, e: Array, sample_time_s: float) -> tuple[Array, Array, Array]:
-    """Step of x' = a x + e w: what x, a held w, and a w that rises from 0 to 1 in the sample add to it.
+def _held_and_rising(a: Array, e: Array, sample_time_s: float) -> tuple[Array, Array]:
+    """What a held w, and one that rises from 0 to 1 in a sample, add to the x of x' = a x + e w.
 
     Source: C. F. Van Loan, IEEE Transactions on Automatic Control 23 (1978) 395-404.
     """
     from scipy.linalg import expm
 
-    (n, q) = e.shape
+    n, q = e.shape
     whole = np.zeros((n + 2 * q, n + 2 * q))
     whole[:n, : n + q] = np.hstack([a, e])
     whole[n : n + q, n + q :] = np.eye(q) / sample_time_s
-    step = expm(whole * sample_time_s)[:n]
-    return step[:, :n], step[:, n : n + q], step[:, n + q :]
+    step = expm(whole * sample_time_s)
+    return step[:n, n : n + q], step[:n, n + q :]

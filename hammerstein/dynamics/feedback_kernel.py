@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from hammerstein.compiled import at, compiled
+from hammerstein.compiled import at, compiled, helper
 
 
 @compiled()
 def respond_plays(start, column, value, push, r, weight, touched, limit, factors, K, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
     """z, x[k+1], y[k] = [[F, G, H], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
+
+    Its parts are compiled into it: a call of each would take a third longer.
 
     B and E are filled, and added column by column: many sums at once, of which none waits for another.
 
@@ -23,7 +25,7 @@ def respond_plays(start, column, value, push, r, weight, touched, limit, factors
     limit : (h,); factors : (M, 3) which z a product is of, h where there is none; K : (q, M) weights
     x : (n,) state and p : (h, J) plays, updated in place; u : (m, N); y : (o, N), from first up to end
     """
-    n, m, (h, most), q = x.shape[0], u.shape[0], r.shape, weight.shape[2]
+    n, m, h, q = x.shape[0], u.shape[0], r.shape[0], weight.shape[2]
     outputs, products = y.shape[0], factors.shape[0]
     rows = start.shape[0] - 1 - n - outputs
     part, product = np.ones(h + 1), np.empty(products)
@@ -36,41 +38,14 @@ def respond_plays(start, column, value, push, r, weight, touched, limit, factors
         for j in range(rows // h * q):
             now[at(n + m + j)] = 0.0
         here, w = 0, n + m
-        e = at(start[0])
         for i in range(rows + n + outputs):
-            a, b, c, total, stop = 0.0, 0.0, 0.0, 0.0, at(start[at(i + 1)])
-            while e + at(3) < stop:  # four sums at once: none waits for the one before
-                a += value[e] * now[at(column[e])]
-                b += value[e + at(1)] * now[at(column[e + at(1)])]
-                c += value[e + at(2)] * now[at(column[e + at(2)])]
-                total += value[e + at(3)] * now[at(column[e + at(3)])]
-                e += at(4)
-            total = (a + b) + (c + total)
-            while e < stop:
-                total += value[e] * now[at(column[e])]
-                e += at(1)
+            total = _row(value, column, now, at(start[at(i)]), at(start[at(i + 1)]))
             if i < rows:
                 part[at(here)] = max(min(total / limit[at(here)], 1.0), -1.0)
-                low, high = touched[at(here), 0], touched[at(here), 1]
-                for j in range(most):
-                    reach = r[at(here), at(j)]
-                    play = max(total - reach, min(total + reach, p[at(here), at(j)]))
-                    p[at(here), at(j)] = play
-                for o in range(low, high):
-                    moved = now[at(w + o)]
-                    for j in range(most):
-                        moved += weight[at(here), at(j), at(o)] * p[at(here), at(j)]
-                    now[at(w + o)] = moved
+                _move(r, weight, touched, at(here), total, p, now, w)
                 here += 1
                 if here == h:
-                    for j in range(products):
-                        first_two = part[at(factors[at(j), 0])] * part[at(factors[at(j), 1])]
-                        product[at(j)] = first_two * part[at(factors[at(j), 2])]
-                    for o in range(q):
-                        moved = now[at(w + o)]
-                        for j in range(products):
-                            moved += K[at(o), at(j)] * product[at(j)]
-                        now[at(w + o)] = moved
+                    _multiply(factors, K, part, product, now, w)
                     here, w = 0, w + q
             elif i < rows + n:
                 later[at(i - rows)] = total
@@ -83,3 +58,45 @@ def respond_plays(start, column, value, push, r, weight, touched, limit, factors
         now, later = later, now
     for i in range(n):
         x[i] = now[i]
+
+
+@helper(inline="always")
+def _row(value, column, now, e, stop):  # type: ignore[no-untyped-def]
+    """Entries of a row times what is now; four sums at once: none waits for the one before."""
+    a, b, c, total = 0.0, 0.0, 0.0, 0.0
+    while e + at(3) < stop:
+        a += value[e] * now[at(column[e])]
+        b += value[e + at(1)] * now[at(column[e + at(1)])]
+        c += value[e + at(2)] * now[at(column[e + at(2)])]
+        total += value[e + at(3)] * now[at(column[e + at(3)])]
+        e += at(4)
+    total = (a + b) + (c + total)
+    while e < stop:
+        total += value[e] * now[at(column[e])]
+        e += at(1)
+    return total
+
+
+@helper(inline="always")
+def _move(r, weight, touched, i, z, p, now, w):  # type: ignore[no-untyped-def]
+    """Move the plays of z number i, and add their weighted outputs to what is now from w on."""
+    for j in range(r.shape[1]):
+        p[i, at(j)] = max(z - r[i, at(j)], min(z + r[i, at(j)], p[i, at(j)]))
+    for o in range(touched[i, 0], touched[i, 1]):
+        moved = now[at(w + o)]
+        for j in range(r.shape[1]):
+            moved += weight[i, at(j), at(o)] * p[i, at(j)]
+        now[at(w + o)] = moved
+
+
+@helper(inline="always")
+def _multiply(factors, K, part, product, now, w):  # type: ignore[no-untyped-def]
+    """Add the weighted products of parts of z to what is now from w on."""
+    for j in range(factors.shape[0]):
+        first_two = part[at(factors[at(j), 0])] * part[at(factors[at(j), 1])]
+        product[at(j)] = first_two * part[at(factors[at(j), 2])]
+    for o in range(K.shape[0]):
+        moved = now[at(w + o)]
+        for j in range(factors.shape[0]):
+            moved += K[at(o), at(j)] * product[at(j)]
+        now[at(w + o)] = moved

@@ -190,12 +190,11 @@ def _answers(record: Record) -> bool:
     u = record.u_v[list(driven_inputs(record))]
     u = (u - u.mean(axis=1, keepdims=True)) / np.ptp(u, axis=1, keepdims=True)
     one, at_once = np.ones((1, record.samples)), [u, u**2, np.gradient(u, axis=1)]
+    outputs = [y - y.mean() for y in record.y_um if np.ptp(y) > 0.0]
+    if any(_explain(y, [one], at_once) for y in outputs):
+        return True
     last = [_late(u, k) for k in range(PAST + 1)]
-    for y in record.y_um - record.y_um.mean(axis=1, keepdims=True):
-        own = [one, *(_late(y[None], k) for k in range(1, PAST + 1))]
-        if np.ptp(y) > 0.0 and (_explain(y, [one], at_once) or _explain(y, own, last)):
-            return True
-    return False
+    return any(_explain(y, [one, *(_late(y[None], k + 1) for k in range(PAST))], last) for y in outputs)
 
 
 def _late(rows: Array, samples: int) -> Array:

@@ -143,7 +143,9 @@ def test_saturated_is_where_more_is_asked_than_the_drive_gives(law, model):
 @pytest.mark.parametrize("asked_v", [-10.0, 10.0])
 def test_the_end_of_the_range_itself_is_not_saturated(model, asked_v):
     nothing = Gains(np.zeros(2), np.zeros(2), np.zeros(2))
-    forward = SimpleNamespace(drive_for=lambda reference_um: np.full(reference_um.shape, asked_v))
+    forward = SimpleNamespace(
+        drive_for=lambda reference_um: np.full(reference_um.shape, asked_v), delay_samples=0
+    )
     law = FeedbackController(model, 10.0, T, 2000.0, gains=nothing, feedforward=forward)
     run = _run(law, model, _path(radius=10.0, frequency_hz=50.0), QUIET)
     assert (run.requested_v == asked_v).all()

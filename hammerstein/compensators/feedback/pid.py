@@ -172,7 +172,7 @@ class FeedbackController(Controller[ControllerState]):
     @property
     def late_samples(self) -> int:
         """Samples by which the position follows the reference, for the feedforward's want of preview."""
-        return int(getattr(self.feedforward, "delay_samples", 0))
+        return self.feedforward.delay_samples if self.feedforward is not None else 0
 
     def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
         """Return the controller, with its feedforward, as a discrete ``control.NonlinearIOSystem``.

@@ -220,7 +220,6 @@ class LoopInverseLaw(Law[LoopPathState]):
     """
 
     leaves: ClassVar[float] = ENOUGH
-    """Part of a path by which periods of its drive may differ."""
 
     def __init__(
         self,
@@ -260,7 +259,8 @@ class LoopInverseLaw(Law[LoopPathState]):
             f"{self.exact.invertibility.statement()} The hysteresis in the loop is inverted in "
             f"{self.passes} iterations on a stream, with an error of {self.left:.1g} of a trial path; a path "
             "that is known as a whole is iterated until it is met. The reference must be known "
-            f"{ahead} samples ahead ({interval(ahead * self.sample_time_s)}) and start at rest (--lead-in)."
+            f"{ahead} samples ahead ({interval(ahead * self.sample_time_s)}); a path that is no period must "
+            "start at rest (--lead-in)."
         )
 
     def rest(self) -> LoopPathState:
@@ -303,9 +303,9 @@ class LoopInverseLaw(Law[LoopPathState]):
                 break
         return self.range.absolute(drive)
 
-    def softens(self, reference: Array) -> bool:
-        """Whether a path (p, N) begins away from rest, so that it is not followed there."""
-        return bool(np.abs(reference[:, 0]).max() > ENOUGH * np.abs(reference).max())
+    def softens(self, reference_um: Array) -> bool:
+        """Whether a path (p, N) begins away from rest."""
+        return bool(np.abs(reference_um[:, 0]).max() > ENOUGH * np.abs(reference_um).max())
 
     def _begun(self, reference: Array) -> Iterator[Array]:
         """The path, or one that grows to it from rest, ever more slowly: a jump would end at the range.

@@ -155,7 +155,6 @@ class _Work:
         self.digest = _digest(records, settings.order)
         self.before = _stages(kept, self.digest) if kept is not None and kept.is_file() else []
         self.begun_s, self.written_s = time.monotonic(), -np.inf
-        self.trials: list[Trial] = []
         self.stages: list[_Best] = []
         self.late = False
 
@@ -172,11 +171,11 @@ class _Work:
         block = next(blocks)
         periods = settled_periods(records, block.respond)
         parts = Selection.of(periods)
-        best, self.trials = None, [parts.of_linear(block)]
+        best, straight = None, parts.of_linear(block)
         for one in itertools.chain([block], blocks):
             linear, before = parts.of_linear(one), best
-            if linear.percent < self.trials[0].percent:
-                self.trials[0], block = linear, one
+            if linear.percent < straight.percent:
+                straight, block = linear, one
             best = self._better_of(before, self._of_order(one, parts))
             if best is before or self._is_late(0.5):
                 break
@@ -189,7 +188,7 @@ class _Work:
             partial(with_band, low=0.0, high=middle, periods=parts.seen),
             with_products,
         )
-        return Found(self._all(best, periods), block, self._marked(best))
+        return Found(self._all(best, periods), block, self._marked(straight, best))
 
     def _of_order(self, block: LinearBlock, parts: Selection) -> _Best:
         """Plays in the loop of linear dynamics of one order.
@@ -223,7 +222,6 @@ class _Work:
         """Search until the error held back falls no more, or take what was found before an interruption."""
         stage = self._done(begun) or self._searched(begun, parts)
         self.stages.append(stage)
-        self.trials.append(stage.trial)
         self._keep()
         return stage
 
@@ -280,8 +278,9 @@ class _Work:
         self.late |= late
         return late
 
-    def _marked(self, best: _Best) -> tuple[Trial, ...]:
-        return tuple(replace(trial, kept=trial is best.trial) for trial in self.trials)
+    def _marked(self, straight: Trial, best: _Best) -> tuple[Trial, ...]:
+        tried = (straight, *(stage.trial for stage in self.stages))
+        return tuple(replace(trial, kept=trial is best.trial) for trial in tried)
 
     def _show(self, found: LoopParameters) -> None:
         """Write the best model so far, now and then."""
