@@ -317,7 +317,7 @@ class LoopInverseLaw(Law[LoopPathState]):
             return
         for share in BEGINNINGS:
             samples = max(share * self.loop.inverse.reach_samples, 1)
-            yield reference * smooth_step(np.minimum(np.arange(reference.shape[1]) / samples, 1.0))
+            yield reference * smooth_step(np.arange(reference.shape[1]) / samples)
 
     def _known(self, loop: LoopPass, reference: Array) -> Array:
         """Filtered path (p, N + reach_samples) on which the inputs of a loop stand."""

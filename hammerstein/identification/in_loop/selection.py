@@ -44,9 +44,9 @@ def with_period(record: Record) -> Record:
     one but for noise. From rest it is not.
     """
     n = 0 if record.period_samples else _repeats_after(record.u_v[list(driven_inputs(record))])
-    moved = record.y_um[:, n : 2 * n] - record.y_um[:, :n]
     if not n:
         return record
+    moved = record.y_um[:, n : 2 * n] - record.y_um[:, :n]
     parts = np.sqrt([np.mean(part**2, axis=1) for part in np.array_split(moved, PARTS, axis=1)])
     most, least = (part * np.ptp(record.y_um, axis=1) for part in (LARGEST, SETTLED))
     settled = parts[0] <= np.clip(CHANCE * np.median(parts, axis=0), least, most)
