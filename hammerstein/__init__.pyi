@@ -21,6 +21,7 @@ from .dynamics import (
     FeedbackHysteresisDynamics as FeedbackHysteresisDynamics,
     LinearBlock as LinearBlock,
     StackAxis as StackAxis,
+    StackMode as StackMode,
     StateSpaceDynamics as StateSpaceDynamics,
     StaticDynamics as StaticDynamics,
     cantilever as cantilever,

@@ -6,6 +6,7 @@ from hammerstein.dynamics.feedback_hysteresis import (
     ElectromechanicalDynamics as ElectromechanicalDynamics,
     FeedbackHysteresisDynamics as FeedbackHysteresisDynamics,
     StackAxis as StackAxis,
+    StackMode as StackMode,
 )
 from hammerstein.dynamics.linear_block import LinearBlock as LinearBlock
 from hammerstein.dynamics.models import (

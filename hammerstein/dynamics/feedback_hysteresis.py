@@ -157,21 +157,41 @@ class ElastoSlip(Strict):
     threshold_uc: Positive = Field(description="charge at which it slips")
 
 
-class StackAxis(Strict):
-    """One stack that moves one axis.
-
-        u = V_h(q) + V_z,    q = C V_z + T x,    M x'' + D x' + K x = T V_z
-
-    V_h is the sum of the stops. Symbols of a data sheet: M effective mass, K stiffness with what it drives,
-    D damping, C small-signal capacitance of the clamped stack, T blocking force for each volt.
-    """
+class StackMode(Strict):
+    """One mode of the structure that a stack moves: M x_i'' + D x_i' + K x_i = T V_z + f."""
 
     mass_kg: Positive
     stiffness_n_per_um: Positive
     damping_ns_per_m: NotNegative = 0.0
+    output_ratio: Entry = Field(default=1.0, description="motion of the output over that of the stack")
+
+    @property
+    def angular(self) -> float:
+        """Angular resonance of the shorted stack without hysteresis [rad/s]."""
+        return float(np.sqrt(1e6 * self.stiffness_n_per_um / self.mass_kg))
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """A of (x_i, x_i' / angular), B of a force [N], C of the output."""
+        w = self.angular
+        a = np.array([[0.0, w], [-w, -self.damping_ns_per_m / self.mass_kg]])
+        return a, np.array([[0.0], [w / self.stiffness_n_per_um]]), np.array([[self.output_ratio, 0.0]])
+
+
+class StackAxis(StackMode):
+    """One stack that moves one axis, in one mode or several.
+
+        u = V_h(q) + V_z,    q = C V_z + T (x_1 + ... + x_n),    M x_i'' + D x_i' + K x_i = T V_z + f
+
+    V_h is the sum of the stops. The first mode has its numbers here, the others are ``further_modes``; each
+    is scaled so that the end of the stack moves by x_i. Symbols of a data sheet: M effective mass,
+    K stiffness with what it drives, D damping, C small-signal capacitance of the clamped stack, T blocking
+    force for each volt.
+    """
+
     capacitance_uf: Positive
     force_n_per_v: Positive = Field(description="T; the same number in uC/um")
     stops: tuple[ElastoSlip, ...] = ()
+    further_modes: tuple[StackMode, ...] = ()
 
     @model_validator(mode="after")
     def _stops_differ(self) -> Self:
@@ -180,9 +200,14 @@ class StackAxis(Strict):
         return self
 
     @property
-    def resonance_hz(self) -> float:
-        """Resonance of the shorted stack without hysteresis [Hz]."""
-        return float(np.sqrt(1e6 * self.stiffness_n_per_um / self.mass_kg) / (2.0 * np.pi))
+    def modes(self) -> tuple[StackMode, ...]:
+        """Every mode, its own first."""
+        return (self, *self.further_modes)
+
+    def describe(self) -> str:
+        """Short description."""
+        resonances = " and ".join(f"{mode.angular / (2.0 * np.pi):.4g}" for mode in self.modes)
+        return f"{resonances} Hz with {len(self.stops)} stops"
 
     def charge(self) -> Pair:
         """Plays of s = C u + T x whose sum is the charge q.
@@ -197,13 +222,6 @@ class StackAxis(Strict):
         slopes = 1.0 + soft.sum() - np.concatenate([[0.0], np.cumsum(soft)])
         reached = np.concatenate([[0.0], np.cumsum(slopes[:-1] * np.diff(r))])
         return Pair(reached, np.diff(1.0 / slopes, prepend=0.0))
-
-    def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """A and E of (x, x' / w), F and G of s; w is the charge."""
-        w, t, c = 2.0 * np.pi * self.resonance_hz, self.force_n_per_v, self.capacitance_uf
-        compliance = w / self.stiffness_n_per_um
-        a = np.array([[0.0, w], [-w - compliance * t * t / c, -self.damping_ns_per_m / self.mass_kg]])
-        return a, np.array([[0.0], [compliance * t / c]]), np.array([[t, 0.0]]), np.array([[c]])
 
 
 class ElectromechanicalDynamics(Strict):
@@ -224,18 +242,29 @@ class ElectromechanicalDynamics(Strict):
 
     def describe(self) -> str:
         """Short description."""
-        each = ", ".join(f"{axis.resonance_hz:.4g} Hz with {len(axis.stops)} stops" for axis in self.axes)
-        return f"electromechanical stacks: {each}"
+        return f"electromechanical stacks: {', '.join(axis.describe() for axis in self.axes)}"
 
-    def block(self) -> FeedbackBlock:
-        """Return its matrices, in continuous time."""
+    def block(self, *, forces: bool = False) -> FeedbackBlock:
+        """Return its matrices, in continuous time.
+
+        forces : the force f on each axis [N] is a further input, after the voltages
+        """
         from scipy.linalg import block_diag
 
-        n, each = len(self.axes), zip(*(axis.matrices() for axis in self.axes), strict=True)
-        a, e, f, g = (block_diag(*parts) for parts in each)
-        c = np.asarray(np.kron(np.eye(n), [[1.0, 0.0]]), dtype=np.float64)
-        none = Pair(np.zeros(1), np.zeros(1))
-        charges = [axis.charge() for axis in self.axes]
+        n, modes = len(self.axes), [mode for axis in self.axes for mode in axis.modes]
+        of_axis = np.repeat(np.eye(n), [len(axis.modes) for axis in self.axes], axis=1)
+        alone, pushed, seen = (block_diag(*each) for each in zip(*(m.matrices() for m in modes), strict=True))
+        t, c = (
+            np.array([getattr(axis, key) for axis in self.axes])
+            for key in ("force_n_per_v", "capacitance_uf")
+        )
+        force, stack = pushed @ of_axis.T, np.kron(of_axis, [[1.0, 0.0]]) * t[:, None]
+        charged = force * (t / c)  # T q / C is the part of T V_z that the charge makes
+        none, charges = Pair(np.zeros(1), np.zeros(1)), [axis.charge() for axis in self.axes]
         pairs = tuple(tuple(charges[i] if i == k else none for k in range(n)) for i in range(n))
-        b, d, gamma = np.zeros((2 * n, n)), np.zeros((n, n)), PrandtlIshlinskii(pairs)
-        return FeedbackBlock(a, b, c, d, e, f, g, gamma, CONTINUOUS)
+        gamma = PrandtlIshlinskii(pairs)
+        b, g = np.zeros((len(alone), n)), np.diag(c)
+        if forces:
+            b, g = np.hstack([b, force]), np.hstack([g, np.zeros((n, n))])
+        y, d = of_axis @ seen, np.zeros((n, len(g.T)))
+        return FeedbackBlock(alone - charged @ stack, b, y, d, charged, stack, g, gamma, CONTINUOUS)

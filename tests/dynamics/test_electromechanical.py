@@ -9,7 +9,7 @@ import hammerstein
 from hammerstein import HammersteinModel
 from hammerstein.commands.cli import main
 from hammerstein.commands.contents import contents_of
-from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
+from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, StackMode, on_grid
 from hammerstein.errors import InputError, SimulationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.reporting.folder import Writer
@@ -52,25 +52,28 @@ def test_without_stops_it_is_a_linear_oscillator():
     np.testing.assert_allclose(found[0], expected, atol=1e-7 * np.abs(expected).max())
 
 
-def march(u, time_s, fine):
-    """Positions [um] of the printed equations in short steps of Runge and Kutta's method, u held."""
-    q, x, y = axis().charge(), np.zeros(2), []
-    r, weights, plays = q.thresholds_v, q.weights_um_per_v, np.zeros(4)
-    step = time_s / fine
+def march(u, time_s, fine, one=None, force=None):
+    """Positions [um] of the printed equations in short steps of Runge and Kutta's method, u and f held."""
+    one, force = one or axis(), np.zeros(len(u)) if force is None else force
+    r, weights, plays = one.charge().thresholds_v, one.charge().weights_um_per_v, np.zeros(4)
+    kg, stiff, damping, ratio = np.array(
+        [(m.mass_kg, m.stiffness_n_per_um, 1e-6 * m.damping_ns_per_m, m.output_ratio) for m in one.modes]
+    ).T
+    x, y, step = np.zeros((2, len(kg))), [], time_s / fine
 
-    def moved(x, value, plays):
-        s = 2.0 * value + 1.2 * x[0]  # C u + T x [uC]
+    def moved(x, value, pushed, plays):
+        s = 2.0 * value + 1.2 * x[0].sum()  # C u + T x [uC]
         after = np.maximum(s - r, np.minimum(s + r, plays))
-        force = 1.2 * (weights @ after - 1.2 * x[0]) / 2.0  # T V_z [N]
-        return np.array([x[1], 1e6 * (force - 3.16 * x[0] - 60e-6 * x[1]) / 0.5]), after
+        pull = 1.2 * (weights @ after - 1.2 * x[0].sum()) / 2.0 + pushed  # T V_z + f [N]
+        return np.array([x[1], 1e6 * (pull - stiff * x[0] - damping * x[1]) / kg]), after
 
-    for value in u:
-        y.append(x[0])
+    for value, pushed in zip(u, force, strict=True):
+        y.append(ratio @ x[0])
         for _ in range(fine):
-            one, plays = moved(x, value, plays)
-            two = moved(x + 0.5 * step * one, value, plays)[0]
-            three = moved(x + 0.5 * step * two, value, plays)[0]
-            four = moved(x + step * three, value, plays)[0]
+            one, plays = moved(x, value, pushed, plays)
+            two = moved(x + 0.5 * step * one, value, pushed, plays)[0]
+            three = moved(x + 0.5 * step * two, value, pushed, plays)[0]
+            four = moved(x + step * three, value, pushed, plays)[0]
             x = x + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
     return np.array(y)
 
@@ -85,6 +88,59 @@ def test_stops_on_a_coarse_grid_are_those_of_a_fine_one():
         errors.append(float(np.std(found[0] - expected) / np.std(expected)))
     assert errors[0] < 0.006
     assert errors[1] < errors[0] / 3.0
+
+
+def modes(*ratios, stops=STOPS):
+    """The stack with a second mode of 710 Hz and, where there is a third ratio, one of 1.2 kHz."""
+    own = axis(stops).model_copy(update={"output_ratio": ratios[0]})
+    numbers = ({"mass_kg": 0.4, "stiffness_n_per_um": 8.0}, {"mass_kg": 0.3, "stiffness_n_per_um": 17.0})
+    further = [
+        StackMode(**each, damping_ns_per_m=50.0, output_ratio=ratio)
+        for each, ratio in zip(numbers, ratios[1:], strict=False)
+    ]
+    return own.model_copy(update={"further_modes": tuple(further)})
+
+
+@pytest.mark.parametrize("ratios", [(1.0, 1.0), (0.8, -0.5, 0.3)])
+def test_every_mode_moves_the_charge_and_is_pushed_by_it(ratios):
+    """Of two or three modes, of which the output sees one against the others."""
+    u = 30.0 * np.repeat(np.random.default_rng(7).normal(size=150), 20)
+    stack = modes(*ratios)
+    expected = march(u, 2e-5, 20, stack)
+    found, _ = on_grid(ElectromechanicalDynamics(axes=(stack,)), 2e-5).respond(u[None])
+    assert np.std(found[0] - expected) < 0.006 * np.std(expected)
+    alone, _ = on_grid(ElectromechanicalDynamics(axes=(axis(),)), 2e-5).respond(u[None])
+    assert np.std(found[0] - alone[0]) > 0.05 * np.std(expected)  # they count
+
+
+def test_modes_without_stops_are_those_of_python_control():
+    """x = (g_1 + ... + g_n)(T u), y the same with the ratio of each mode."""
+    u, time_s = np.random.default_rng(8).normal(size=(1, 400)), np.arange(400) * 1e-4
+    found, _ = on_grid(ElectromechanicalDynamics(axes=(modes(0.8, -0.5, stops=()),)), 1e-4).respond(u)
+    one = control.tf([0.8 * 1.2], [0.5, 60.0, 3.16e6])
+    two = control.tf([-0.5 * 1.2], [0.4, 50.0, 8e6])
+    system = control.c2d(control.ss(control.parallel(one, two)), 1e-4)
+    expected = 1e6 * control.forced_response(system, time_s, u[0]).outputs
+    np.testing.assert_allclose(found[0], expected, atol=1e-7 * np.abs(expected).max())
+
+
+def test_axes_of_several_modes_do_not_hear_each_other():
+    u = 30.0 * np.repeat(np.random.default_rng(9).normal(size=(2, 100)), 20, axis=1)
+    both, _ = on_grid(ElectromechanicalDynamics(axes=(modes(0.8, -0.5), axis())), 2e-5).respond(u)
+    for k, own in enumerate((modes(0.8, -0.5), axis())):
+        alone, _ = on_grid(ElectromechanicalDynamics(axes=(own,)), 2e-5).respond(u[k : k + 1])
+        np.testing.assert_allclose(both[k], alone[0], atol=1e-12 * np.abs(alone).max())
+
+
+def test_a_force_is_a_further_input():
+    """Of a stack with its voltage moving, and of one that is shorted."""
+    rng = np.random.default_rng(10)
+    u, force = (size * np.repeat(rng.normal(size=150), 20) for size in (20.0, 30.0))
+    dynamics = ElectromechanicalDynamics(axes=(modes(1.0, 0.4),))
+    for volts in (u, np.zeros_like(u)):
+        expected = march(volts, 2e-5, 20, dynamics.axes[0], force)
+        found, _ = dynamics.block(forces=True).held(2e-5).respond(np.stack([volts, force]))
+        assert np.std(found[0] - expected) < 0.006 * np.std(expected)
 
 
 def test_slow_voltage_moves_it_as_the_static_balance_says():
