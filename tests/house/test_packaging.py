@@ -50,6 +50,16 @@ def test_every_file_of_the_package_is_shipped_and_the_scenarios_with_their_numbe
     assert shipped == wanted
 
 
+def test_nothing_else_is_kept_at_the_top() -> None:
+    """A program that was tried there leaves its picture behind."""
+    found = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if found.returncode != 0:
+        pytest.skip("no git, or no clone of it")
+    top = {name.split("/")[0] for name in found.stdout.splitlines()}
+    folders = {".ci", ".github", "hammerstein", "reports", "scenarios", "tests"}
+    assert top == folders | {".gitignore", ".importlinter", "LICENSE", "README.md", "pyproject.toml"}
+
+
 @pytest.mark.full
 def test_every_import_is_a_dependency(settings: dict[str, Any]) -> None:
     project = settings["project"]
