@@ -194,6 +194,13 @@ def test_printed_table_has_an_inverse_and_is_solved():
     assert "its only slope matrix is not singular" in invertibility(backlash).statement()
 
 
+def test_a_model_without_an_inverse_counts_its_slopes():
+    """2, then 2 - 2 = 0, then 0 - 1: two of three have not the sign of the others."""
+    flawed = PrandtlIshlinskii([[Pair([0.0, 1.0, 2.0], [2.0, -2.0, -1.0])]])
+    counted = "of its 3 slope matrices, 1 is of the other sign and 1 is zero"
+    assert counted in invertibility(flawed).statement()
+
+
 def test_one_play_is_inverted_by_a_jump_of_twice_its_threshold():
     path = np.array([[0.0, 6.0, 9.0, 8.0, 8.0, 2.0, 4.0]])
     drive, _ = ExactInverseLaw(_model([[Pair([0.3], [2.0])]]), 10.0).respond(path)

@@ -163,6 +163,17 @@ def test_a_crossing_beside_another_unstable_root_is_not_stable():
     assert beside.amplitude_v == pytest.approx(alone.amplitude_v, rel=1e-6)
 
 
+def test_a_limit_cycle_beyond_the_amplitudes_is_not_found():
+    """Few frequencies find that of the first test too small at first: it is left out where it is too large."""
+    s, k = control.tf("s"), 12.0
+    few = np.array([0.7, 1.2, 2.5]) / (2.0 * np.pi)
+    system = k / (s * (s + 1) * (s + 2))
+    (cycle,) = limit_cycles(_saturation(), system)
+    for share, expected in ((0.95, 0), (0.99, 0), (1.01, 1)):
+        amplitudes = np.geomspace(1.01, share * cycle.amplitude_v, 50)
+        assert len(limit_cycles(_saturation(), system, amplitudes, few)) == expected
+
+
 def test_what_cannot_be_searched_is_refused():
     system = control.ss(control.tf([1.0], [1.0, 1.0]))
     for arguments, message in [
