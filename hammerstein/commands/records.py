@@ -15,7 +15,7 @@ import typer
 from hammerstein.commands.jobs import PROCESSORS
 from hammerstein.commands.options import AsJson, Overwrite, grouped, refuse_output, told_by_options, words_of
 from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
-from hammerstein.errors import InputError, naming
+from hammerstein.errors import InputError
 from hammerstein.escaping import one_line
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ class StaticBlock:
     ] = None
 
 
-OF_THE_LOOP = ("--order", "--accept-order")
+OF_THE_LOOP = ("--order", "--accept-order", "--sensor-bandwidth", "--sensor-delay")
 """Options of a cascade that the search for hysteresis in the loop uses, too."""
 
 
@@ -234,11 +234,15 @@ class InLoop:
         if self.hysteresis_in_loop and unused:
             raise InputError("--hysteresis-in-loop", f"does not use {', '.join(unused)}; remove it")
 
-    def settings(self, order: int | None) -> LoopSettings | None:
-        """The settings of its search; None where it is not asked for."""
+    def settings(self, identified: Identified, **static: Any) -> tuple[Settings, LoopSettings | None]:
+        """The settings of cascades, and those of its search; None where it is not asked for."""
         from hammerstein.identification.in_loop.identify import LoopSettings
 
-        return LoopSettings(order, self.minutes) if self.hysteresis_in_loop else None
+        if not self.hysteresis_in_loop:
+            return identified.settings(**static), None
+        order = identified.order if identified.dynamics == "state_space" else None
+        cascade = identified.settings(**static, order=order)
+        return cascade, LoopSettings(identified.order, self.minutes, cascade.sensor, cascade.accept_order)
 
 
 @dataclass(frozen=True)
@@ -291,11 +295,11 @@ class Identified:
         """The settings, with what one command alone asks for."""
         from hammerstein.identification.settings import settings_of
 
-        asked = asdict(self)
+        asked = asdict(self) | more
         asked["sensor_bandwidth_hz"] = asked.pop("sensor_bandwidth")
         asked["sensor_delay_s"] = asked.pop("sensor_delay")
         with told_by_options("identification"):
-            return settings_of(**asked, **more)
+            return settings_of(**asked)
 
 
 def folder_name(files: Sequence[Path]) -> str:
@@ -403,9 +407,7 @@ def identify(
 
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
-    settings: Settings | LoopSettings = in_loop.settings(identified.order) or identified.settings(
-        hysteresis=static.hysteresis, dead_zones=static.dead_zones
-    )
+    cascade, loop = in_loop.settings(identified, hysteresis=static.hysteresis, dead_zones=static.dead_zones)
     in_loop.refuse_unused([*words_of(identified), *words_of(static)])
     folder = report or out.parent / f"{out.stem}_fit"
     prepare_folder("--report", folder, FIT, ALWAYS, overwrite)
@@ -413,7 +415,7 @@ def identify(
     asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
-    model, fit = _identified(records, settings, validation, out)
+    model, fit = _identified(records, loop or cascade, validation, out)
     tell_kept(write_fit(model, fit, out, folder, figures, overwrite, asked))
     if in_loop.hysteresis_in_loop:
         for file in search_files(out):
@@ -475,14 +477,14 @@ def compare(
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
     from hammerstein.runtime.staging import prepare_folder
 
-    settings, loop = identified.settings(), in_loop.settings(identified.order)
+    settings, loop = in_loop.settings(identified)
     held.refuse_fitted(recorded.files)
     prepare_folder("--out", out, COMPARISON, ALWAYS, overwrite)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
     samples = sum(record.samples for record in records)
     begun = f"comparing every kind of model on {samples} samples; it takes several times as long as identify"
-    with Spinner(begun) as spinner, naming("--hysteresis-in-loop", instead_of="in_loop"):
+    with Spinner(begun) as spinner:
 
         def watch(what: str, done: int, total: int) -> None:
             spinner.tell(f"{what} ({done} of {total} fitted)" if done < total else what)

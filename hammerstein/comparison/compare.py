@@ -8,7 +8,7 @@ from pathlib import PurePath
 import numpy as np
 
 from hammerstein.comparison.fitting import Failed, Fitted, Progress, fit_all
-from hammerstein.comparison.in_loop import NAME as IN_LOOP, LoopFit, fit_in_loop, refuse_sensor
+from hammerstein.comparison.in_loop import NAME as IN_LOOP, LoopFit, fit_in_loop
 from hammerstein.comparison.inverting import Inverse, inverse_of, left_by
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.dynamics import on_grid
@@ -138,8 +138,6 @@ def compare(
     """
     tell = progress or (lambda what, done, total: None)
     settings = settings or Settings()
-    if in_loop is not None:
-        refuse_sensor(settings)
     ready = from_last_rest(records, settings.sensor, accept_order=settings.accept_order)
     held = (
         from_last_rest(validation, settings.sensor, accept_order=settings.accept_order) if validation else ()
@@ -160,7 +158,11 @@ def compare(
     good = {fitted[i].name for i in as_good(trials)}
     others = list(zip(fitted, trials, strict=True))
     loop = in_loop and fit_in_loop(
-        records, in_loop, validation, others, lambda text: tell(f"{IN_LOOP}: {text}", 1, 1)
+        records,
+        replace(in_loop, sensor=settings.sensor, accept_order=settings.accept_order),
+        validation,
+        others,
+        lambda text: tell(f"{IN_LOOP}: {text}", 1, 1),
     )
     if isinstance(loop, Failed):
         failed.append(loop)

@@ -8,12 +8,12 @@ from hammerstein.comparison.fitting import Failed, Fitted
 from hammerstein.comparison.inverting import Inverse, inverse_of
 from hammerstein.comparison.result import Unseen
 from hammerstein.dynamics import discretise
-from hammerstein.errors import HammersteinError, InputError
+from hammerstein.errors import HammersteinError
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
 from hammerstein.identification.in_loop.selection import Selection, settled_periods
 from hammerstein.identification.model_selection import Trial, as_good, chosen, least
 from hammerstein.identification.options import PLAYS
-from hammerstein.identification.settings import Settings
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.records.record import Record
 
 NAME = "hysteresis in the loop"
@@ -80,18 +80,8 @@ def fit_in_loop(
     inverse = inverse_of(model, fit.sample_time_s)
     block = discretise(fit.candidates["linear_dynamics"].dynamics, fit.sample_time_s)
     parts = Selection.of(settled_periods(fit.records, block.respond))
-    trials = [parts.of_model(one.candidate, trial, fit.records[0]) for one, trial in others]
+    ideal = [(replace(one.candidate, sensor=SensorModel()), trial) for one, trial in others]
+    trials = [parts.of_model(candidate, trial, fit.records[0]) for candidate, trial in ideal]
     own = next(trial for trial in fit.trials if trial.kept)
     trials.append(replace(own, name=NAME, usable=inverse.exact, kept=False))
     return LoopFit(ours, inverse, (fit.records, fit.held), tuple(trials))
-
-
-def refuse_sensor(settings: Settings) -> None:
-    """Refuse a known sensor: hysteresis in the loop is identified with the sensor in it.
-
-    Raises InputError.
-    """
-    if settings.sensor_delay_s or settings.sensor_bandwidth_hz is not None:
-        raise InputError(
-            "in_loop", "hysteresis in the loop is identified with its sensor; give no delay or bandwidth"
-        )

@@ -195,7 +195,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
         held = np.eye(len(self.A)) if self.sample_time_s != CONTINUOUS else np.zeros_like(self.A)
         x, z = self.rest()[: len(self.A)], np.full(self.hysteresis.n_inputs, np.abs(u).max())
         for _ in range(TURNS_OF_SIZES):
-            sizes = np.maximum(np.abs(z), LEAST_SIZE * np.abs(u).max())
+            sizes = np.maximum(np.abs(z), LEAST_SIZE * np.abs(u).max() or SMALL)
             gain = self.hysteresis.amplitude(sizes) / sizes
             block = self.with_gain(gain)
             pushed = block.B @ u + self.E @ np.tile(self.products.at(z), self.moves)

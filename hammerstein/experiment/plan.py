@@ -32,7 +32,7 @@ from hammerstein.model.simulation import Plant
 from hammerstein.quantities import duration, size
 from hammerstein.runtime.resources import COPIES, free_bytes, run_bytes
 from hammerstein.scenario import Scenario
-from hammerstein.scenario.source import ClosedFormSpec, TestedCompensator
+from hammerstein.scenario.source import ClosedFormSpec, LoopFitSpec, TestedCompensator
 from hammerstein.scenario.variation import Uncertainty
 
 # Of a two-axis actuator, on a processor that takes REFERENCE_S for what ``slowness`` lets it do.
@@ -217,6 +217,11 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             words = f"the identification of {label!r}, a run of {samples:.3g} samples for each input"
             needed, seconds = COPIES * run_bytes(samples, m, p), m * samples * SECONDS_A_SAMPLE
             keys = "its measured_cycles or settle_cycles, or raise frequency_hz"
+        elif isinstance(spec, LoopFitSpec):
+            samples = len(spec.levels) * spec.experiments * spec.record_s / step
+            words = f"the identification of {label!r} from {samples:.3g} samples"
+            needed, seconds = COPIES * run_bytes(samples, m, p), 60.0
+            keys = "its record_s, levels or experiments, or raise sample_time_s"
         else:
             samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
             operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators

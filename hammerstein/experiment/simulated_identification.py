@@ -24,6 +24,7 @@ from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics.arrays import settled_cycle
 from hammerstein.model import HammersteinModel
@@ -31,7 +32,7 @@ from hammerstein.model.simulation import Plant, Response
 from hammerstein.records.record import Record
 from hammerstein.runtime.parallel_tasks import Jobs, completed, in_order
 from hammerstein.runtime.store import Kept, Store, key_of, opened
-from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec
+from hammerstein.scenario.source import ClosedFormSpec, IdentificationSpec, JointFitSpec, LoopFitSpec
 from hammerstein.signals import MOST_LINES, Multisine, Sine, Triangle, smooth_step
 
 WHOLE = 1e-6  # samples that a period may miss a whole number by
@@ -129,13 +130,15 @@ REST_SAMPLES = 20
 """At rest before each record, by which a start at rest is seen."""
 CREEP_SAMPLES = 12_000
 """Of the slow record: creep is slower than a hundred samples of it."""
+SETTLING = 3
+"""Periods of a multisine before those that are recorded."""
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
 
 
 def identify_each(
     plant: Plant,
-    experiments: Mapping[ClosedFormSpec | JointFitSpec, int],
+    experiments: Mapping[IdentificationSpec, int],
     seed: int,
     store: Store | None = None,
     jobs: Jobs = 1,
@@ -177,11 +180,14 @@ def _identified(actuator_json: str, spec_json: str, seed: int, position: int) ->
     """Text of the model file that comes out; texts in and out, so that it can be kept."""
     actuator = HammersteinModel.from_json(actuator_json)
     plant = Plant(actuator, actuator.instruments)
-    spec: ClosedFormSpec | JointFitSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
+    spec: IdentificationSpec = TypeAdapter(IdentificationSpec).validate_json(spec_json)
     seeds = [seed, 0, position]  # a case has the number of its signal, from 1, where the 0 is
-    if isinstance(spec, JointFitSpec):
-        return _joint_fit(_at_sample_time(plant, spec.sample_time_s), spec, seeds).to_json()
-    return _closed_form(plant, spec, seeds).to_json()
+    if isinstance(spec, ClosedFormSpec):
+        return _closed_form(plant, spec, seeds).to_json()
+    setup = _at_sample_time(plant, spec.sample_time_s)
+    fit = _joint_fit(setup, spec, seeds) if isinstance(spec, JointFitSpec) else _loop_fit(setup, spec, seeds)
+    own, origin = plant.model, _provenance(plant, spec)
+    return replace(fit, inputs=own.inputs, outputs=own.outputs, provenance=origin).to_json()
 
 
 def _closed_form(plant: Plant, spec: ClosedFormSpec, seeds: list[int]) -> HammersteinModel:
@@ -208,20 +214,32 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
     from hammerstein.identification.identify import identify
 
     drive = _Excursion.of(plant, spec.amplitude_v)
-    hz = plant.instruments.sensor.bandwidth_hz
-    known_hz = hz if math.isfinite(hz) else None
     # The creep comes from a slow record of its own.
-    settings = replace(spec.settings(), creep_modes=0, sensor_bandwidth_hz=known_hz)
+    settings = replace(spec.settings(), creep_modes=0, sensor_bandwidth_hz=_known_hz(plant))
     name = f"joint fit, {spec.operators} operators"
     model, _ = identify(
         _records(plant, spec, drive, seeds), settings, name=name, instruments=plant.instruments
     )
-    own = plant.model
-    named = replace(model, inputs=own.inputs, outputs=own.outputs, provenance=_provenance(plant, spec))
-    return _with_creep(plant, spec, drive, named, seeds) if spec.creep_modes else named
+    return _with_creep(plant, spec, drive, model, seeds) if spec.creep_modes else model
 
 
-def _provenance(plant: Plant, spec: ClosedFormSpec | JointFitSpec) -> JsonValue:
+def _loop_fit(plant: Plant, spec: LoopFitSpec, seeds: list[int]) -> HammersteinModel:
+    """Plays in the loop of a state space, from multisines at several levels on all inputs together."""
+    from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+
+    settings = LoopSettings(spec.order, spec.minutes, SensorModel(_known_hz(plant)))
+    name = "hysteresis in the loop"
+    model, _ = identify_in_loop(list(_settled_records(plant, spec, seeds)), settings, name=name)
+    return replace(model, instruments=plant.instruments)
+
+
+def _known_hz(plant: Plant) -> float | None:
+    """Bandwidth of the sensor by its data sheet."""
+    hz = plant.instruments.sensor.bandwidth_hz
+    return hz if math.isfinite(hz) else None
+
+
+def _provenance(plant: Plant, spec: IdentificationSpec) -> JsonValue:
     return {"actuator": plant.model.name, "identification": spec.model_dump(mode="json")}
 
 
@@ -281,6 +299,30 @@ def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[in
         )
         for k, part in enumerate(parts)
     ]
+
+
+def _settled_records(plant: Plant, spec: LoopFitSpec, seeds: list[int]) -> Iterator[Record]:
+    """Two settled periods of a multisine at each level, as often as asked for; from rest each time."""
+    drive, n = _Excursion.of(plant, spec.amplitude_v), round(spec.record_s / plant.sample_time_s)
+    lowest = 1.0 / (n * plant.sample_time_s)
+    time_s = plant.sample_time_s * np.arange((SETTLING + 2) * n, dtype=np.float64)
+    grown = smooth_step(np.arange(len(time_s)) / n)
+    for i, level in enumerate(np.tile(spec.levels, spec.experiments).tolist(), start=1):
+        wave = Multisine(
+            amplitude=1.0, lowest_hz=lowest, highest_hz=spec.highest_frequency_hz, seed=seeds[0] + i
+        )
+        waves = level * drive.amplitude_v[:, None] * wave.sample(time_s, len(drive.amplitude_v))
+        about = (drive.centre_v - drive.rest_v)[:, None] + waves
+        response = plant.respond(drive.rest_v[:, None] + grown * about, [*seeds, i])
+        yield Record(
+            response.drive_v[:, -2 * n :],
+            response.reading_um[:, -2 * n :],
+            plant.sample_time_s,
+            inputs=plant.model.inputs,
+            outputs=plant.model.outputs,
+            source=f"simulated, experiment {i}",
+            period_samples=n,
+        )
 
 
 def _settled_loop(

@@ -70,6 +70,31 @@ class SensorModel:
         kept = record.part(samples, record.samples)
         return replace(kept, u_v=record.u_v[:, : kept.samples], verified=True)
 
+    def freed(self, record: Record) -> Record:
+        """The prompt record with readings of a sensor without lag or delay.
+
+        Each line f of their spectrum is multiplied by (1 + j f / bandwidth) e^(j 2 pi f delay), and so is
+        noise. Settled periods repeat; any other record is taken to go back the way it came, so that its last
+        samples are less accurate.
+
+        Examples
+        --------
+        >>> angle = 2.0 * np.pi * np.arange(200) / 100
+        >>> late = np.sqrt(0.5) * np.sin(angle - np.pi / 4)
+        >>> sine = Record([np.sin(angle)], [late], 1e-3, period_samples=100)
+        >>> bool(np.allclose(SensorModel(10.0).freed(sine).y_um, sine.u_v))
+        True
+        """
+        part_s, read = self.part_s(record.sample_time_s), record.y_um
+        if self.bandwidth_hz is None and not part_s:
+            return record
+        if record.period_samples is None or record.samples % record.period_samples:
+            read = np.hstack([read, read[:, ::-1]])
+        hz = np.fft.rfftfreq(read.shape[1], record.sample_time_s)
+        ahead = (1.0 + 1j * hz / (self.bandwidth_hz or np.inf)) * np.exp(2j * np.pi * hz * part_s)
+        y = np.fft.irfft(ahead * np.fft.rfft(read), read.shape[1])[:, : record.samples]
+        return replace(record, y_um=y, verified=True)
+
     def path(self, dynamics: Dynamics, sample_time_s: float) -> LinearBlock:
         """Discrete path from the static block to the reading of a prompt record, which is linear."""
         return discretise(self._late(dynamics, sample_time_s), sample_time_s, self.bandwidth_hz)

@@ -24,7 +24,7 @@ from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
 from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Trial, Wait
 from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, MetricName, NumberName
-from hammerstein.scenario.source import ClosedFormSpec, JointFitSpec, ModelSource, Tested
+from hammerstein.scenario.source import IdentificationSpec, ModelSource, Tested
 from hammerstein.scenario.variation import Study, Uncertainty
 from hammerstein.signals import SIGNALS, Excitation, FromFile, Reference, Shape, written
 from hammerstein.validation import Strict, WithInfinity, mistakes_of, with_nearest_kinds
@@ -226,7 +226,7 @@ class Scenario(WithInfinity):
         """Position of every signal in the sweep, counted from 1; trials of one signal share it."""
         return {signal: i for i, signal in enumerate(dict.fromkeys(self.signals()), start=1)}
 
-    def experiments(self) -> dict[ClosedFormSpec | JointFitSpec, int]:
+    def experiments(self) -> dict[IdentificationSpec, int]:
         """Position of every identification experiment, counted from 1; what is equal is done once."""
         sources: tuple[ModelSource, ...] = (*self.compensators, *self.models)
         specs = dict.fromkeys(s.identification for s in sources if s.identification is not None)

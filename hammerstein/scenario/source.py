@@ -125,6 +125,32 @@ class JointFitSpec(Strict):
         return max(self.frequencies_hz)
 
 
+Part = Annotated[float, Range(1e-3, 1.0)]
+Minutes = Annotated[float, Range(0.1, 1440.0)]
+
+
+class LoopFitSpec(Strict):
+    """Identify plays in the loop of a state space: one model for every amplitude.
+
+    All inputs are driven together, by multisines at several levels. Two settled periods of each are
+    recorded, and freed of the sensor's lag; see ``identify_in_loop``.
+    """
+
+    method: Literal["hysteresis_in_loop"]
+    highest_frequency_hz: Frequency = Field(description="highest line of the multisines")
+    amplitude_v: OwnAmplitude = None
+    levels: Annotated[tuple[Part, ...], Field(min_length=1, max_length=100)] = Field(
+        default=(0.25, 0.5, 1.0), description="levels, in parts of the amplitude"
+    )
+    experiments: Annotated[int, Range(1, 1000)] = Field(default=2, description="multisines at each level")
+    record_s: Length = Field(default=0.1, description="period of the multisines; lines are 1/period apart")
+    sample_time_s: OwnSampleTime = None
+    order: Annotated[int, Range(1, 100)] | None = Field(
+        default=None, description="states of the linear dynamics; searched if omitted"
+    )
+    minutes: Minutes = Field(default=60.0, description="time limit of the search")
+
+
 def _method(value: Any) -> str:
     if isinstance(value, dict):
         return str(value.get("method", "closed_form"))
@@ -132,7 +158,9 @@ def _method(value: Any) -> str:
 
 
 IdentificationSpec = Annotated[
-    Annotated[ClosedFormSpec, Tag("closed_form")] | Annotated[JointFitSpec, Tag("hammerstein")],
+    Annotated[ClosedFormSpec, Tag("closed_form")]
+    | Annotated[JointFitSpec, Tag("hammerstein")]
+    | Annotated[LoopFitSpec, Tag("hysteresis_in_loop")],
     Discriminator(_method),
 ]
 

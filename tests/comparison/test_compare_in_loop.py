@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
+from scipy.interpolate import interp1d
 from typer.testing import CliRunner
 
 import hammerstein
@@ -29,6 +32,7 @@ from hammerstein.identification.in_loop.selection import Selection
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import Candidate
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import gain_model
 from hammerstein.records.record import Record
@@ -131,19 +135,58 @@ def test_a_loop_that_fails_leaves_the_others():
     assert "there are 2" in given.reason
 
 
-def test_a_known_sensor_is_refused():
-    records = [record(cascade(), k, 3.0 * (k + 1)) for k in range(3)]
-    with pytest.raises(InputError, match="identified with its sensor"):
-        hammerstein.compare(records, Settings(sensor_delay_s=1e-3), in_loop=SHORT)
+def behind(respond, hz, parts=8):
+    """The same seen by a sensor of first order, which sees what happens within a sample."""
+    sensor = control.tf([1.0], [1.0 / (2.0 * np.pi * hz), 1.0])
+
+    def read(u):
+        y = interp1d(np.arange(u.shape[1]), respond(u)[0], kind="cubic", fill_value="extrapolate")
+        fine = np.arange(u.shape[1] * parts) / parts
+        return control.forced_response(sensor, fine * TIME_S, y(fine)[0]).outputs[None, ::parts], None
+
+    return read
 
 
-def test_the_command_names_its_option_where_a_sensor_is_known(tmp_path):
-    files = []
+@pytest.mark.full
+def test_a_known_sensor_is_no_part_of_any_model(monkeypatch):
+    """All models are judged beside each other as if the readings had been those of an ideal sensor."""
+    monkeypatch.setattr(fitting, "identifiable_kinds", lambda: (PLAYS,))
+    levels_v, hz = (3.0, 6.0, 12.0), 1500.0
+    plain, seen = ([record(r, k, levels_v[k % 3]) for k in range(6)] for r in (stack(), behind(stack(), hz)))
+    ideal = hammerstein.compare(plain, KNOWN, in_loop=SHORT)
+    known = hammerstein.compare(seen, replace(KNOWN, sensor_bandwidth_hz=hz), in_loop=SHORT)
+    unknown = hammerstein.compare(seen, KNOWN, in_loop=SHORT)
+    assert known.recommended == NAME
+    assert known.unseen.rival_percent == pytest.approx(ideal.unseen.rival_percent, rel=0.05)
+    assert known[NAME].model.instruments.sensor.bandwidth_hz == hz
+    u = record(stack(), 50, 9.0).u_v
+    expected = stack()(u)[0]
+    errors = [
+        (one[NAME].model.simulate(u, TIME_S).position_um - expected)[:, SAMPLES:].std()
+        for one in (ideal, known, unknown)
+    ]
+    assert errors[1] < 1.5 * errors[0]
+    assert errors[2] > 5.0 * errors[0]
+
+
+def test_the_command_takes_a_known_sensor(tmp_path, monkeypatch):
+    """Both commands give it to the search."""
+    files, asked = [], []
     for k in range(3):
         one = record(cascade(), k, 3.0 * (k + 1))
         files.append(str(tmp_path / f"{k}.csv"))
         head = ",".join([*(f"{n} [V]" for n in one.inputs), *(f"{n} [um]" for n in one.outputs)])
         np.savetxt(files[-1], np.vstack([one.u_v, one.y_um]).T, delimiter=",", header=head, comments="")
-    words = ["compare", *files, "--rate", f"{1.0 / TIME_S:g}", "--hysteresis-in-loop", "--accept-gain"]
-    done = CliRunner().invoke(app, [*words, "--sensor-bandwidth", "2000", "--out", str(tmp_path / "out")])
-    assert str(done.exception).startswith("--hysteresis-in-loop: hysteresis in the loop is identified with")
+
+    def stopped(records, settings=None, **more):
+        asked.append(more.get("in_loop") or settings)
+        raise InputError("records", "were given")
+
+    monkeypatch.setattr("hammerstein.identification.in_loop.identify.identify_in_loop", stopped)
+    monkeypatch.setattr("hammerstein.comparison.compare.compare", stopped)
+    words = ["--rate", f"{1.0 / TIME_S:g}", "--hysteresis-in-loop", "--accept-gain", "--accept-order"]
+    sensor = ["--sensor-bandwidth", "2000", "--sensor-delay", "1e-4", "--order", "6", "--minutes", "2"]
+    for command, out in (("identify", "m.json"), ("compare", "out")):
+        done = CliRunner().invoke(app, [command, *files, *words, *sensor, "--out", str(tmp_path / out)])
+        assert "were given" in str(done.exception)
+    assert asked == 2 * [LoopSettings(6, 2.0, SensorModel(2000.0, 1e-4), accept_order=True)]

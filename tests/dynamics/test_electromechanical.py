@@ -248,6 +248,14 @@ def test_gain_is_that_of_slow_settled_loops(tmp_path):
     assert shown["hysteresis"].endswith("gains without hysteresis")
 
 
+def test_positive_voltages_alone_reach_from_zero_to_the_slow_end():
+    one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
+    model = HammersteinModel("stack", one, ElectromechanicalDynamics(axes=(axis(),)), 50.0, ("u",), ("x",))
+    low, high = model.extremes(np.array([0.0]), np.array([50.0]))
+    assert low[0] == 0.0
+    assert high[0] == pytest.approx(slow_end(50.0), rel=1e-9)
+
+
 def test_without_a_compensator_the_drive_has_the_right_size():
     """50 V for the end of the slow loop of 50 V; the block in front of the loop has 1 V/um alone."""
     one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])

@@ -164,7 +164,7 @@ def test_a_crossing_beside_another_unstable_root_is_not_stable():
 
 
 def test_a_limit_cycle_beyond_the_amplitudes_is_not_found():
-    """Few frequencies find that of the first test too small at first: it is left out where it is too large."""
+    """Few frequencies find that of the first test too small at first; it is left out if it is too large."""
     s, k = control.tf("s"), 12.0
     few = np.array([0.7, 1.2, 2.5]) / (2.0 * np.pi)
     system = k / (s * (s + 1) * (s + 2))

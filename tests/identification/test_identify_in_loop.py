@@ -162,6 +162,15 @@ def test_settled_periods_need_not_be_stated():
     ]
 
 
+def test_outputs_that_lead_can_be_accepted():
+    angle = 2.0 * np.pi * np.arange(2 * SAMPLES) / SAMPLES
+    early = [Record([k * np.sin(angle)], [k * np.sin(angle + 0.2)], TIME_S) for k in LEVELS_V]
+    with pytest.raises(InputError, match="leads"):
+        identify_in_loop(early, SHORT)
+    with pytest.raises(KeyboardInterrupt):
+        identify_in_loop(early, replace(SHORT, accept_order=True), progress=lambda text: stop())
+
+
 def triangle(amplitude):
     return amplitude * (2.0 * np.abs(np.arange(SAMPLES)[None] / SAMPLES - 0.5) - 0.5)
 

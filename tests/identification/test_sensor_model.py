@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import control
 import numpy as np
 import pytest
 from record_cases import message, plain
@@ -36,6 +37,31 @@ def known(late: int, **options) -> Settings:
     """Second-order axes behind the true thresholds, and a sensor so many eighths of a sample late."""
     sensor = {"sensor_bandwidth_hz": SENSOR_HZ, "sensor_delay_s": late / PARTS * T}
     return plain(dynamics="second_order", thresholds_v=R, **(sensor | options))
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+@pytest.mark.parametrize(("hz", "late"), [(400.0, 0.0), (3000.0, 3.4), (None, 0.6)])
+def test_a_reading_is_freed_of_lag_and_delay(periodic, hz, late):
+    """Smooth motion, of which the sensor is computed on a grid sixteen times as fine."""
+    parts, n, cycles = 16, 400, 3
+    fine_s = T / parts
+    time_s = fine_s * np.arange(cycles * n * parts)
+    offsets = np.array([[0.1], [1.0], [2.0]])
+    grown = 1.0 if periodic else np.clip(time_s / time_s[-1] * 2.0, 0.0, 1.0) ** 3 * (time_s > 0.0)
+    lines = 2.0 * np.pi * np.outer([1, 7, 23], time_s) / (n * T)
+    y = grown * np.sum([[1.0], [0.3], [0.1]] * np.sin(lines + offsets), axis=0)
+    sensor = control.tf([1.0], [1.0 / (2.0 * np.pi * hz), 1.0]) if hz else control.tf([1.0], [1.0])
+    read = control.forced_response(sensor, time_s, y).outputs
+    read = np.interp(time_s - late * T, time_s, read)
+    u, given = np.sin(lines[:1, ::parts]), slice((cycles - 2) * n if periodic else 0, None)
+    record = Record(u[:, given], read[None, ::parts][:, given], T, period_samples=n if periodic else None)
+    known = SensorModel(hz, late * T)
+    found = known.freed(known.prompt(record)).y_um[0]
+    expected = y[::parts][given][: len(found)]
+    inside = slice(0, None if periodic else -20)
+    missed, before = (np.abs(y - expected)[inside].max() for y in (found, record.y_um[0, : len(found)]))
+    assert missed < 2e-3 * np.ptp(expected)
+    assert missed < 0.2 * before
 
 
 MORE = [pytest.param(*each, marks=pytest.mark.long) for each in ((8, 8), (19, 0), (6, 0))]

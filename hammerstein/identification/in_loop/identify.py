@@ -8,7 +8,7 @@ import operator
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -39,6 +39,7 @@ from hammerstein.identification.in_loop.start import (
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
 from hammerstein.records.record import Record, driven_inputs
@@ -67,10 +68,14 @@ class LoopSettings:
 
     order : states of the linear block, even; found from the number of outputs if not given
     minutes : of search after which the best model found is given; what an interruption lost does not count
+    sensor : known from its data sheet; the readings are freed of its lag and delay first
+    accept_order : whether an output may lead its input
     """
 
     order: int | None = None
     minutes: float = 60.0
+    sensor: SensorModel = field(default_factory=SensorModel)
+    accept_order: bool = False
 
 
 @one_blas_thread()
@@ -103,9 +108,14 @@ def identify_in_loop(
     IdentificationError : too few experiments, or linear dynamics are as good on the selection experiments
     InputError : several sample times, not as many inputs as outputs, or a file of another search
     """
+    settings = settings or LoopSettings()
     given = given_records(records), given_records(validation)
     whole, others = (tuple(map(with_period, some)) for some in given)
-    ready, held = from_one_point(from_last_rest(whole), from_last_rest(others) if others else ())
+    prompt = (
+        from_last_rest(some, settings.sensor, accept_order=settings.accept_order) if some else ()
+        for some in (whole, others)
+    )
+    ready, held = (tuple(map(settings.sensor.freed, some)) for some in from_one_point(*prompt))
     _refuse(ready, held)
 
     def write(found: LoopParameters) -> None:
@@ -114,7 +124,7 @@ def identify_in_loop(
                 model_so_far(found, ready, name).save(playable)
 
     with ThreadPoolExecutor(2) as pool:
-        work = _Work(settings or LoopSettings(), kept, ready, progress, write, pool)
+        work = _Work(settings, kept, ready, progress, write, pool)
         found = work.chosen(ready)
     if not found.chosen.percent < GAINED * found.linear.percent:
         raise IdentificationError(
@@ -123,7 +133,8 @@ def identify_in_loop(
             "it does not improve the model. Identify without --hysteresis-in-loop"
         )
     repeated = sum(map(operator.is_not, itertools.chain(*given), (*whole, *others)))
-    return result_of(found, ready, held, name, [*_notes(ready, repeated), *work.notes()])
+    notes = [*_notes(ready, repeated), *work.notes()]
+    return result_of(found, ready, held, name, settings.sensor, notes)
 
 
 class _Best(NamedTuple):

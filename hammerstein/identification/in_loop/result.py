@@ -15,6 +15,7 @@ from hammerstein.identification.in_loop.selection import start_of
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, Score, score
+from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.state_space_candidates import gain_model, state_space
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.verdict import verdict
@@ -44,11 +45,17 @@ class Found:
 
 
 def result_of(
-    found: Found, records: tuple[Record, ...], held: tuple[Record, ...], name: str, notes: Sequence[str] = ()
+    found: Found,
+    records: tuple[Record, ...],
+    held: tuple[Record, ...],
+    name: str,
+    sensor: SensorModel,
+    notes: Sequence[str] = (),
 ) -> tuple[HammersteinModel, Fit]:
     """Model and fit report.
 
     records, held : fitted and validation records, settled periods counted from one voltage
+    sensor : of the records, which are freed of it
     notes : on the search
     """
     one, straight = records[0], gain_model(np.eye(len(records[0].u_v)))
@@ -73,6 +80,8 @@ def result_of(
         amplitudes_v=tuple(swing.tolist()),
         voltages=_voltages(records),
         sample_time_s=one.sample_time_s,
+        sensor_bandwidth_hz=sensor.bandwidth_hz,
+        sensor_delay_s=sensor.delay_s,
         offsets_um=offsets(best, records, starts),
         starts=starts,
         held_starts=held_starts,
