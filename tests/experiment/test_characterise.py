@@ -47,6 +47,17 @@ def test_closed_form_finds_the_printed_thresholds_and_loops():
             assert areas[0] == pytest.approx(areas[1], rel=0.03, abs=0.2)
 
 
+def test_closed_form_is_the_same_about_any_voltage():
+    """Plays count from where they rest: 40 to 60 V about 50 V are -10 to 10 V about 0 V."""
+    about = HammersteinModel.load("duo_bimorph_static")
+    raised = replace(about, voltages=Voltages.of([50.0] * 2, [40.0] * 2, [60.0] * 2))
+    found = [identified(Plant(model, Instruments.ideal()), ClosedFormSpec(), 1) for model in (about, raised)]
+    for row, other in zip(*(model.hysteresis.pairs for model in found), strict=True):
+        for pair, one in zip(row, other, strict=True):
+            np.testing.assert_allclose(pair.thresholds_v, one.thresholds_v, atol=1e-9)
+            np.testing.assert_allclose(pair.weights_um_per_v, one.weights_um_per_v, atol=1e-9)
+
+
 def test_a_triangle_finds_the_static_loop_at_thresholds_uniform_in_voltage():
     """A static block does not respond to how it is driven: the rising branch is met at every threshold."""
     plant = _plant("duo_bimorph_static", instruments=Instruments.ideal())

@@ -14,8 +14,8 @@ REST = InitialState("rest")
 U = np.concatenate([np.zeros(20), 50.0 * (1.0 - np.cos(np.linspace(0.0, 12.0, 400)))])
 
 
-def record(name, at_um=0.0, at_v=0.0, rests=True):
-    u = (U if rests else U[20:]) + at_v
+def record(name, at_um=0.0, at_v=0.0, rests=True, part=1.0):
+    u = part * (U if rests else U[20:]) + at_v
     return Record([u], [0.5 * (u - at_v) + at_um], 1e-3, source=f"{name}.csv")
 
 
@@ -27,6 +27,11 @@ def record(name, at_um=0.0, at_v=0.0, rests=True):
         (record("b", at_um=3.0), 6.0, False),  # the sensor stands elsewhere: another state, or another zero
         (record("b", at_v=10.0), 6.0, False),
         (record("b", rests=False), 6.0, False),
+        (
+            record("b", at_v=0.5, part=0.1),
+            6.0,
+            True,
+        ),  # half a percent of the largest swing is no other voltage
     ],
 )
 def test_one_state_that_is_two_for_the_model_is_a_flag(second, apart_um, flagged):
