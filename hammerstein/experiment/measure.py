@@ -97,7 +97,6 @@ def _joined(parts: Sequence[Target | None]) -> Target | None:
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
 LONGER = (2, 20)  # times the cycles before the measurement that are tried
 WHOLE = 1e-6  # part of a sample by which a whole number of them may miss
-END_SHARE = 0.1  # of a cycle: a law that looks further ahead sees the end of the path from the last one
 MOST_SAMPLES = 4_000_000  # a longer run is not tried
 
 
@@ -161,14 +160,11 @@ def advice(setup: SetUp, case: Case) -> str:
 
 def _why(setup: SetUp, case: Case) -> str:
     law, dynamics = setup.laws.get(case.label), setup.plant.model.dynamics
-    ahead_s = getattr(law, "preview_samples", 0) * setup.plant.sample_time_s
     if isinstance(law, InverseMultiplicativeLaw) and not law.convergence.converges:
         return "the iteration of the law does not converge"
     if isinstance(dynamics, AxesDynamics) and any(axis.creep for axis in dynamics.axes):
         slowest = max(mode.time_constant_s for axis in dynamics.axes for mode in axis.creep)
         return f"the actuator creeps, with time constants up to {slowest:g} s"
-    if ahead_s > END_SHARE * case.signal.period_s:
-        return f"the law looks {interval(ahead_s)} ahead, so the last cycle responds to the end of the path"
     return "the cycles keep changing"
 
 

@@ -141,8 +141,16 @@ class SetUp:
             return lambda tested, seed: closed_loop(law, tested, path_um, case.seed(seed))
         if isinstance(law, Learner):
             return self._learning(case, law, path_um, window)
-        asked_v = _asked_for(law, path_um, asked_v)
+        known_um = self._going_on(case, path_um, law.preview_samples)
+        asked_v = _asked_for(law, known_um, asked_v)[:, : window.total]
         return _following(plant, plant.driven(asked_v, True, out=drive_v), path_um, case)
+
+    def _going_on(self, case: Case, path_um: Array, ahead: int) -> Array:
+        """The path and as much of what follows as a law looks ahead; it ends with no run, as at a set-up."""
+        if not ahead:
+            return path_um
+        samples = path_um.shape[1]
+        return np.hstack([path_um, self._values(case, samples, samples + ahead)])
 
     def _sample(self, case: Case, values: Array) -> None:
         """Put the signal of a case into an array (axis, sample), piece by piece, which stay in the cache."""

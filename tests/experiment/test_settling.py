@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from hammerstein.experiment.run import run
+from hammerstein.experiment.set_up import set_up
 from hammerstein.model import HammersteinModel
 from hammerstein.reporting.run_page import gathered
+from hammerstein.scenario import Scenario
 
 SINE = {"kind": "sine", "amplitude_um": 20.0, "frequency_hz": 50.0, "axis": 1}
 UNEVEN_HZ = 15.1
@@ -65,8 +68,10 @@ def test_a_run_that_models_share_is_called_by_its_actuator():
     assert [text.partition(" at ")[0] for text in said.statements if "settled" in text] == ["duo_bimorph"]
 
 
-def test_the_end_of_the_path_is_no_lack_of_settling():
-    law = {"label": "slow", "law": "hammerstein_inverse", "filter_hz": 200, "model": "duo_bimorph"}
+@pytest.mark.parametrize("law", [{"filter_hz": 200.0}, {"preview_s": 0.002}])
+def test_a_path_goes_on_for_a_law_that_looks_ahead(law):
+    """A run does not end with a stop that the law prepares: its voltages are those of a longer run."""
+    law = {"label": "ahead", "law": "hammerstein_inverse", "model": "duo_bimorph"} | law
     triangle = {
         "kind": "triangle",
         "amplitude_um": 20.0,
@@ -74,8 +79,15 @@ def test_the_end_of_the_path_is_no_lack_of_settling():
         "axis": 1,
         "smooth_start_s": 0.02,
     }
-    (text,) = _told(reference=triangle, compensators=[law])
-    assert "ahead, so the last cycle responds to the end of the path" in text
+    asked = {"question": "?", "actuator": "duo_bimorph", "reference": triangle, "compensators": [law]}
+    drives = []
+    for cycles in (2, 4):
+        here = set_up(Scenario.model_validate(asked | {"measure": {"measured_cycles": cycles}}))
+        (case,) = here.cases()
+        drives.append(here.simulate(case).drive_v)
+    assert drives[1].shape[1] == drives[0].shape[1] + 400
+    assert np.array_equal(drives[0], drives[1][:, : drives[0].shape[1]])
+    assert not _told(reference=triangle, compensators=[law])
 
 
 @pytest.mark.parametrize("cycles", [2, 8])
