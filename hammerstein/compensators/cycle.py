@@ -189,7 +189,12 @@ class Design:
         cycle = self.cycle(asked, terms, at_range)
         missed, own = np.abs(cycle.error_um).max(axis=1), stated_error_um(self.model)
         if at_range and not terms.clip and not (own is not None and (missed <= own).all()):
-            raise SimulationError(f"{self.path}: out of reach: {self._missed(cycle, at_range, terms)}")
+            reachable = reach(self.model, self.limits, run_anyway=True)
+            least = np.zeros(len(missed)) if own is None else own
+            given = (self.model, self.limits, self.compensator, self.reference_um, least, reachable)
+            told = MissedPeriod(*given, terms.offset_um is not None, cycle, at_range).statement()
+            where = reachable.statement(self.model.outputs)
+            raise SimulationError(f"{self.path}: out of reach: {told}\n{where}")
         return cycle
 
     def of_trial(self, drive_v: Array, terms: Terms) -> Cycle:
@@ -199,14 +204,6 @@ class Design:
             hit = HELD.format(at_range, drive_v.shape[1], self.limits.words(self.model.inputs))
             raise SimulationError(f"{self.path}: out of reach: {hit}. Accept it with --clip.")
         return replace(self.cycle(drive_v, terms, at_range), learnt=True)
-
-    def _missed(self, cycle: Cycle, at_range: int, terms: Terms) -> str:
-        model, limits = self.model, self.limits
-        own, reachable = stated_error_um(model), reach(model, limits, run_anyway=True)
-        least = np.zeros(len(model.outputs)) if own is None else own
-        given = (model, limits, self.compensator, self.reference_um, least, reachable)
-        missed = MissedPeriod(*given, terms.offset_um is not None, cycle, at_range)
-        return f"{missed.statement()}\n{reachable.statement(model.outputs)}"
 
     def cycle(self, asked_v: Array, terms: Terms, at_range: int = 0) -> Cycle:
         """One period of these voltages on the steps of the converter, if they are allowed.
