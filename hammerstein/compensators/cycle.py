@@ -345,10 +345,10 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> tupl
     drive, share = settled(law, model, reference_um), 1.0
     clipped = limits.reached(drive).any(axis=0)
     turn = np.linalg.pinv(model.gain(half_stroke(drive)))
-    off = _middle(player.settled(drive)[0] - reference_um)
+    off = (player.settled(drive)[0] - reference_um).mean(axis=1, keepdims=True)
     for _ in range(CENTRING_ROUNDS):
         trial = np.clip(drive - share * (turn @ off), limits.low_v[:, None], limits.high_v[:, None])
-        left = _middle(player.settled(trial)[0] - reference_um)
+        left = (player.settled(trial)[0] - reference_um).mean(axis=1, keepdims=True)
         if np.abs(left).max() < np.abs(off).max():
             drive, off = trial, left
         else:
@@ -359,10 +359,6 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> tupl
 def half_stroke(drive_v: Array) -> float:
     """Half of what an input goes at most [V], for which the gain of the settled loops is taken."""
     return max(0.5 * float(np.ptp(drive_v, axis=1).max()), 1e-6)
-
-
-def _middle(error_um: Array) -> Array:
-    return np.asarray(error_um.mean(axis=1, keepdims=True))
 
 
 class Player:
