@@ -170,8 +170,6 @@ def _own(node: Any) -> int:
 
 def _straight_of(node: Any) -> int:
     """Operations of an expression, those of the functions that it calls left out."""
-    if node is None:
-        return 0
     return _own(node) + sum(_straight_of(part) for _, part in node.children())
 
 
