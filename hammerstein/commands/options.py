@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter
 from pathlib import Path
@@ -92,14 +92,11 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     >>> show(x=1.0)
     Place(x=1.0, y=0.0) False
     """
-    hints = get_type_hints(command, include_extras=True)
-    groups = {
-        name: hints[name] for name in inspect.signature(command).parameters if is_dataclass(hints[name])
-    }
-    flat: list[Parameter] = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        own = Parameter(name, Parameter.KEYWORD_ONLY, default=parameter.default, annotation=hints[name])
-        flat += _options(groups[name]) if name in groups else [own]
+    flat, groups = list[Parameter](), dict[str, Any]()
+    for one in _options(command):
+        if is_dataclass(one.annotation):
+            groups[one.name] = one.annotation
+        flat += _options(groups[one.name]) if one.name in groups else [one]
 
     @wraps(command)
     def run(**options: Any) -> None:
@@ -133,8 +130,7 @@ def words_of(group: Any) -> list[str]:
     return words
 
 
-def _options(group: Any) -> Iterator[Parameter]:
-    hints = get_type_hints(group, include_extras=True)
-    for field in fields(group):
-        default = Parameter.empty if field.default is MISSING else field.default
-        yield Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hints[field.name])
+def _options(taker: Callable[..., Any]) -> list[Parameter]:
+    """Parameters of a command, or fields of a group, as options."""
+    hints, each = get_type_hints(taker, include_extras=True), inspect.signature(taker).parameters.values()
+    return [one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[one.name]) for one in each]

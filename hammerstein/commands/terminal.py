@@ -126,28 +126,37 @@ def nobody_listens(error: OSError) -> None:
         raise OutputError(f"the output cannot be written ({reason_of(error)})") from None
 
 
-class Watch:
-    """Progress with the remaining time on stderr, when a person watches."""
+class _Bar:
+    """A bar on stderr until the block is left; None when nobody watches."""
 
-    def __init__(self, scenarios: int):
-        self.scenarios = scenarios
-        self.bar: Any = None
+    bar: Any = None
 
-    def __enter__(self) -> Watch:
-        if sys.stderr.isatty() and not _hushed:
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    def _start(self, *columns: Any) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
 
-            columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self.bar.start()
-            self.task = self.bar.add_task("running", total=self.scenarios)
-            self.inner = self.bar.add_task("", total=1, visible=False)
-        return self
+        self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self.bar.start()
 
     def __exit__(self, *_: object) -> None:
         if self.bar is not None:
             self.bar.stop()
+
+
+class Watch(_Bar):
+    """Progress with the remaining time on stderr, when a person watches."""
+
+    def __init__(self, scenarios: int):
+        self.scenarios = scenarios
+
+    def __enter__(self) -> Watch:
+        if sys.stderr.isatty() and not _hushed:
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+
+            self._start(TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+            self.task = self.bar.add_task("running", total=self.scenarios)
+            self.inner = self.bar.add_task("", total=1, visible=False)
+        return self
 
     @property
     def progress(self) -> Progress | None:
@@ -168,7 +177,7 @@ EVERY_S = 60.0
 """How often a file is told what is being done."""
 
 
-class Spinner:
+class Spinner(_Bar):
     """Progress on stderr: every step when a person watches, one line a minute in a file.
 
     first : first message, also in a file, for work that is always long
@@ -176,25 +185,17 @@ class Spinner:
 
     def __init__(self, first: str = ""):
         self.first = first
-        self.bar: Any = None
         self.told_s = time.monotonic()
 
     def __enter__(self) -> Spinner:
         if sys.stderr.isatty() and not _hushed:
-            from rich.console import Console
-            from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-            columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
-            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self.bar.start()
+            self._start(SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
             self.task = self.bar.add_task(self.first or "reading", total=None)
         elif self.first and not _hushed:
             complain(self.first)
         return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
 
     def tell(self, what: str) -> None:
         """Show what is being done."""

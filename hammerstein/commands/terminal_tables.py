@@ -43,13 +43,15 @@ RECOMMENDED, AS_GOOD = "*", "="
 _LEFT = 3  # the first columns hold words
 
 
-def _table(title: str, columns: Sequence[str]) -> Table:
+def _table(title: str, columns: Sequence[str], rows: Iterable[Iterable[str]] = ()) -> Table:
     from rich import box
     from rich.table import Table
 
     table = Table(title=title, box=box.SIMPLE, title_justify="left")
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i < _LEFT else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
@@ -102,10 +104,8 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
 
 def judgement_table(title: str, judgements: Sequence[Judgement]) -> Table:
     """One line a judgement."""
-    table = _table(title, list(judgements[0].cells()))
-    for judgement in judgements:
-        table.add_row(*judgement.cells().values())
-    return table
+    cells = [judgement.cells() for judgement in judgements]
+    return _table(title, list(cells[0]), (row.values() for row in cells))
 
 
 def compensation_table(found: Compensation) -> Table:
@@ -178,10 +178,10 @@ def _narrow(table: Table, least: int = len("prandtl_ishlinskii")) -> Table:
 
 def gains_table(gains: Sequence[Gain]) -> Table:
     """One line a pair: how far the voltage went, how far the output, and their ratio."""
-    table = _table("Content of the records", ("input", "output", "", "span_v", "span_um", "gain_um_per_v"))
-    for g in gains:
-        table.add_row(g.input, g.output, "", *(f"{n:.4g}" for n in (g.span_v, g.span_um, g.um_per_v)))
-    return table
+    columns = ("input", "output", "", "span_v", "span_um", "gain_um_per_v")
+    numbers = ((f"{n:.4g}" for n in (g.span_v, g.span_um, g.um_per_v)) for g in gains)
+    rows = ((g.input, g.output, "", *own) for g, own in zip(gains, numbers, strict=True))
+    return _table("Content of the records", columns, rows)
 
 
 def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
@@ -207,11 +207,9 @@ def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
 
 def facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
     """One line a fact: its name and its text."""
-    table = _table(title, ("", ""))
+    table = _table(title, ("", ""), facts)
     table.show_header = False
     table.columns[1].min_width = len(title)  # a title is no wider than its table
-    for name, text in facts:
-        table.add_row(name, text)
     return table
 
 

@@ -56,7 +56,7 @@ class Attempt:
     ) -> Attempt:
         """Design the law, and drive the model with it."""
         drive = drive_within(model, limits)
-        law = sensorless_law(compensator, {}, model, limits, drive.sample_time_s)
+        law = sensorless_law(compensator, model, limits, drive.sample_time_s)
         asked = law.drive_for(reference_um)
         sent, _ = drive.apply(asked)
         predicted = shortfall(model, law, reference_um, asked, drive.sample_time_s, sent)
@@ -109,14 +109,9 @@ def widened(limits: DriveRange) -> DriveRange | None:
 
 
 def sensorless_law(
-    law: LawLike,
-    options: Mapping[str, Any],
-    model: HammersteinModel,
-    limits: DriveRange,
-    sample_time_s: float,
+    compensator: Compensator, model: HammersteinModel, limits: DriveRange, sample_time_s: float
 ) -> Law[Any]:
-    """Design the law that is named; InputError where it needs the sensor, or its options are wrong."""
-    compensator = compensator_of(law, options)
+    """Design a law; InputError where it needs the sensor."""
     built = compensator.design(model, limits, sample_time_s)
     if not isinstance(built, Law):
         what = f"{compensator.law} needs the sensor's readings, so it has no drive to send in advance"
@@ -437,7 +432,7 @@ class MissedPath(Missed):
         if wide is None:
             return None
         try:
-            law = sensorless_law(self.compensator, {}, self.model, wide, drive.sample_time_s)
+            law = sensorless_law(self.compensator, self.model, wide, drive.sample_time_s)
             return law.drive_for(self.found.reference_um)
         except HammersteinError:
             return None

@@ -1,7 +1,7 @@
 """One settled period of a periodic path, which an amplifier repeats."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -189,7 +189,12 @@ class Design:
         cycle = self.cycle(asked, terms, at_range)
         missed, own = np.abs(cycle.error_um).max(axis=1), stated_error_um(self.model)
         if at_range and not terms.clip and not (own is not None and (missed <= own).all()):
-            raise SimulationError(f"{self.path}: out of reach: {self._missed(cycle, at_range, terms)}")
+            reachable = reach(self.model, self.limits, run_anyway=True)
+            least = np.zeros(len(missed)) if own is None else own
+            given = (self.model, self.limits, self.compensator, self.reference_um, least, reachable)
+            told = MissedPeriod(*given, terms.offset_um is not None, cycle, at_range).statement()
+            where = reachable.statement(self.model.outputs)
+            raise SimulationError(f"{self.path}: out of reach: {told}\n{where}")
         return cycle
 
     def of_trial(self, drive_v: Array, terms: Terms) -> Cycle:
@@ -199,14 +204,6 @@ class Design:
             hit = HELD.format(at_range, drive_v.shape[1], self.limits.words(self.model.inputs))
             raise SimulationError(f"{self.path}: out of reach: {hit}. Accept it with --clip.")
         return replace(self.cycle(drive_v, terms, at_range), learnt=True)
-
-    def _missed(self, cycle: Cycle, at_range: int, terms: Terms) -> str:
-        model, limits = self.model, self.limits
-        own, reachable = stated_error_um(model), reach(model, limits, run_anyway=True)
-        least = np.zeros(len(model.outputs)) if own is None else own
-        given = (model, limits, self.compensator, self.reference_um, least, reachable)
-        missed = MissedPeriod(*given, terms.offset_um is not None, cycle, at_range)
-        return f"{missed.statement()}\n{reachable.statement(model.outputs)}"
 
     def cycle(self, asked_v: Array, terms: Terms, at_range: int = 0) -> Cycle:
         """One period of these voltages on the steps of the converter, if they are allowed.
@@ -220,10 +217,10 @@ class Design:
         sent, _ = converter.apply(asked_v)
         if not terms.beyond_records:
             refuse_beyond(model, sent)
-        play = player(model, limits, time_s)
-        position, closure = settled_position(play, sent, limits.start_v, time_s)
+        player = Player(model, limits)
+        position, closure = player.settled(sent)
         way, _ = converter.apply(run_up(sent, limits.start_v, time_s))
-        first = play(np.concatenate([way, sent], axis=1))[:, way.shape[1] :]
+        first = player.position(np.concatenate([way, sent], axis=1))[:, way.shape[1] :]
         said = f"{self.resampled} {self.law.statement()}".strip()
         if at_range:
             hit = HELD.format(at_range, sent.shape[1], limits.words(model.inputs))
@@ -251,7 +248,7 @@ def design_of(
     )
     onlooker.tell("computing the period")
     compensator, path_um = compensator_of(law, options), moved(path_um, terms.offset_um)
-    built = sensorless_law(compensator, {}, model, limits, time_s)
+    built = sensorless_law(compensator, model, limits, time_s)
     return Design(model, limits, compensator, built, path_um, source, str(path), found)
 
 
@@ -298,13 +295,13 @@ class MissedPeriod(Missed):
         )
 
     def _attempt(self, compensator: Compensator, path_um: Array) -> tuple[float, bool]:
-        model, limits, time_s = self.model, self.limits, self.found.sample_time_s
         try:
-            drive, at_range = centred(sensorless_law(compensator, {}, model, limits, time_s), model, path_um)
+            law = sensorless_law(compensator, self.model, self.limits, self.found.sample_time_s)
+            drive, at_range = centred(law, self.model, path_um)
         except HammersteinError:
             return np.inf, False
-        play = player(model, limits, time_s)
-        error = np.abs(settled_position(play, drive, limits.start_v, time_s)[0] - path_um).max(axis=1)
+        settled_um, _ = Player(self.model, self.limits).settled(drive)
+        error = np.abs(settled_um - path_um).max(axis=1)
         return float(error.max()), not at_range or bool((error <= self.own_um).all())
 
 
@@ -344,15 +341,14 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> tupl
     table begins differently from the law, so that its loop has another centre and the same shape. The
     voltages are therefore shifted until the centre is that of the path.
     """
-    time_s, limits = model.instruments.drive.sample_time_s, law.range
+    limits, player = law.range, Player(model, law.range)
     drive, share = settled(law, model, reference_um), 1.0
     clipped = limits.reached(drive).any(axis=0)
     turn = np.linalg.pinv(model.gain(half_stroke(drive)))
-    play = player(model, limits, time_s)
-    off = _middle(settled_position(play, drive, limits.start_v, time_s)[0] - reference_um)
+    off = (player.settled(drive)[0] - reference_um).mean(axis=1, keepdims=True)
     for _ in range(CENTRING_ROUNDS):
         trial = np.clip(drive - share * (turn @ off), limits.low_v[:, None], limits.high_v[:, None])
-        left = _middle(settled_position(play, trial, limits.start_v, time_s)[0] - reference_um)
+        left = (player.settled(trial)[0] - reference_um).mean(axis=1, keepdims=True)
         if np.abs(left).max() < np.abs(off).max():
             drive, off = trial, left
         else:
@@ -365,35 +361,29 @@ def half_stroke(drive_v: Array) -> float:
     return max(0.5 * float(np.ptp(drive_v, axis=1).max()), 1e-6)
 
 
-def _middle(error_um: Array) -> Array:
-    return np.asarray(error_um.mean(axis=1, keepdims=True))
+class Player:
+    """Plays voltages (m, N) that are sent from the start, on the sample time of the model's drive."""
 
+    def __init__(self, model: HammersteinModel, limits: DriveRange):
+        self._start_v, self._time_s = limits.start_v, model.instruments.drive.sample_time_s
+        self._model, self._block = model.on_grid(self._time_s), on_grid(model.dynamics, self._time_s)
+        self._before_um, self._memory = self._model.hysteresis.standing(limits.history())
 
-def settled_position(
-    play: Callable[[Array], Array], drive_v: Array, start_v: Array, sample_time_s: float
-) -> tuple[Array, float]:
-    """Position (p, N) in the last of ten periods (m, N), and by how much the one before differs [um].
+    def position(self, drive_v: Array) -> Array:
+        """Position (p, N) [um], counted from the start."""
+        v, _ = self._model.static_response(drive_v, self._memory)
+        return self._block.respond(v - self._before_um[:, None])[0]
 
-    The run-up comes before them: a jump from the start (m,) would still ring after ten short periods.
-    """
-    samples = drive_v.shape[1]
-    way = run_up(drive_v, start_v, sample_time_s)
-    position = play(np.concatenate([way, np.tile(drive_v, (1, PLAYED_PERIODS))], axis=1))
-    last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
-    return last.copy(), float(np.abs(last - one_before).max())
+    def settled(self, drive_v: Array) -> tuple[Array, float]:
+        """Position (p, N) in the last of ten periods (m, N), and by how much the one before differs [um].
 
-
-def player(model: HammersteinModel, limits: DriveRange, sample_time_s: float) -> Callable[[Array], Array]:
-    """Position (p, N) [um] for voltages (m, N) that are sent from the start, counted from it."""
-    here, block = model.on_grid(sample_time_s), on_grid(model.dynamics, sample_time_s)
-    before, memory = here.hysteresis.standing(limits.history())
-
-    def play(drive_v: Array) -> Array:
-        v, _ = here.static_response(drive_v, memory)
-        position, _ = block.respond(v - before[:, None])
-        return position
-
-    return play
+        The run-up comes before them: a jump from the start would still ring after ten short periods.
+        """
+        samples = drive_v.shape[1]
+        way = run_up(drive_v, self._start_v, self._time_s)
+        position = self.position(np.concatenate([way, np.tile(drive_v, (1, PLAYED_PERIODS))], axis=1))
+        last, one_before = position[:, -samples:], position[:, -2 * samples : -samples]
+        return last.copy(), float(np.abs(last - one_before).max())
 
 
 def held_least(cycle: Cycle, points: int) -> Array:
@@ -420,8 +410,7 @@ def held_least(cycle: Cycle, points: int) -> Array:
 
 def held_error(cycle: Cycle, table: Array, hold: int) -> Array:
     """Error (p, N) of a period [um] whose voltages (m, n) are each held over so many samples."""
-    sent, play = np.repeat(table, hold, axis=1), player(cycle.model, cycle.limits, cycle.sample_time_s)
-    position, _ = settled_position(play, sent, cycle.limits.start_v, cycle.sample_time_s)
+    position, _ = Player(cycle.model, cycle.limits).settled(np.repeat(table, hold, axis=1))
     return np.asarray(position - cycle.aim_um)
 
 

@@ -14,7 +14,7 @@ from hammerstein.arrays import Array, Complex
 from hammerstein.blocks import Law, Learner
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators import COMPENSATORS, Compensator
-from hammerstein.compensators.cycle import Cycle, Design, centred, design_of, player, settled_position
+from hammerstein.compensators.cycle import Cycle, Design, Player, centred, design_of
 from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.path_file import CYCLE_COST, UNWATCHED, Onlooker, read_path
 from hammerstein.dynamics import AxesDynamics, LinearBlock, discretise, linearised
@@ -227,7 +227,7 @@ def ilc_update(
     above_noise = remains & (share > 0.0)
     drive = drive_v
     if above_noise.any():
-        now, _ = settled_position(player(model, law.range, time_s), drive_v, law.range.start_v, time_s)
+        now, _ = Player(model, law.range).settled(drive_v)
         change = np.fft.irfft(np.where(above_noise, share * error, 0.0), samples, axis=1)
         drive, _ = centred(law, model, now + change)
     slowest = float((1.0 - share[above_noise] * (1.0 - delta[above_noise])).max(initial=0.0))
@@ -397,9 +397,7 @@ def _refuse_other_motion(source: str, design: Design, drive: Array, measured: Ar
     time_s, samples = design.model.instruments.drive.sample_time_s, drive.shape[1]
     if measured.shape[1] % samples:
         return  # not whole periods, which are refused later
-    limits = design.law.range
-    play = player(design.model, limits, time_s)
-    expected, _ = settled_position(play, drive, limits.start_v, time_s)
+    expected, _ = Player(design.model, design.law.range).settled(drive)
     read = measured.reshape(len(measured), -1, samples).mean(axis=1)
     for name, e, m in zip(design.model.outputs, expected, read, strict=True):
         e, m = e - e.mean(), m - m.mean()

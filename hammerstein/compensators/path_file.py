@@ -29,12 +29,6 @@ def half_span_v(model: HammersteinModel) -> Array:
     return np.asarray(0.5 * (np.array(model.recorded.highest_v) - np.array(model.recorded.lowest_v)))
 
 
-def travel_um(model: HammersteinModel) -> Array | None:
-    """Travel of each output (p,) over the recorded voltages [um]; None where nothing limits these."""
-    half = half_span_v(model)
-    return 2.0 * np.abs(model.amplitude(half)).max(axis=1) if np.isfinite(half).all() else None
-
-
 def in_um(
     path: Path, names: Sequence[str], values: Array, model: HammersteinModel, units: str | None
 ) -> Array:
@@ -66,14 +60,15 @@ def in_um(
 
 def _refuse_doubtful(path: Path, bare: Sequence[str], values: Array, model: HammersteinModel) -> None:
     """Raise InputError where no position that is asked for fits the travel of the model in um."""
-    travel, asked = travel_um(model), float(np.abs(values).max())
-    if travel is None or asked == 0.0:
+    half, asked = half_span_v(model), float(np.abs(values).max())
+    if asked == 0.0 or not np.isfinite(half).all():  # nothing limits the voltages
         return
-    if not LEAST_SHARE <= asked / float(travel.max()) <= MOST_SHARE:
+    travel = 2.0 * float(np.abs(model.amplitude(half)).max())
+    if not LEAST_SHARE <= asked / travel <= MOST_SHARE:
         raise InputError(
             str(path),
             f"{', '.join(bare)} {('has' if len(bare) == 1 else 'have')} no unit; in um the path goes "
-            f"to {asked:.3g} um, but the model travels {travel.max():.3g} um. Name the unit: --units "
+            f"to {asked:.3g} um, but the model travels {travel:.3g} um. Name the unit: --units "
             "nm, um or mm, or in the header, such as x_nm",
         )
 

@@ -173,28 +173,28 @@ def envelopes_part(hysteresis: Generalised) -> CPart:
     """Lines of the envelopes, and their hyperbolic tangents."""
     each = hysteresis.envelopes
     lines = max(len(one.slopes) for one in each)
-
-    def table(rows: list[Array], fill: float) -> Array:
-        padded = np.full((len(rows), lines), fill)
-        for out, row in zip(padded, rows, strict=True):
-            out[: len(row)] = row
-        return padded
-
     return _tangents(each) + CPart(
         sizes=(Size("LINES", lines, "largest number of lines of an envelope"),),
         tables=(
             Table(
                 "line_end",
-                table([one.voltages_v[1:-1] for one in each], np.inf),
+                padded([one.voltages_v[1:-1] for one in each], lines, np.inf),
                 "Upper end of each line [V]: input, line.",
             ),
-            Table("line_slope", table([one.slopes for one in each], 1.0), "Its slope: input, line."),
-            Table("line_start", table([one.intercepts for one in each], 0.0), "Its value at 0 V [V]."),
+            Table("line_slope", padded([one.slopes for one in each], lines, 1.0), "Its slope: input, line."),
+            Table(
+                "line_start", padded([one.intercepts for one in each], lines, 0.0), "Its value at 0 V [V]."
+            ),
             Table("envelope_home", hysteresis.home_v, "Value of each envelope at the working point [V]."),
             Table("envelope_zero", hysteresis.working_point_v, "Working point of each envelope [V]."),
         ),
         values={"helpers": ("least", "most")},
     )
+
+
+def padded(rows: Sequence[Array], width: int, fill: float) -> Array:
+    """Rows of one width, filled up at their ends."""
+    return np.array([np.pad(row, (0, width - len(row)), constant_values=fill) for row in rows])
 
 
 def _tangents(envelopes: Sequence[Envelope]) -> CPart:

@@ -28,6 +28,7 @@ from hammerstein.export.c_blocks import (
     c_moving_block_of,
     dynamics_part,
     envelopes_part,
+    padded,
     stacked,
 )
 from hammerstein.export.request import ForwardModel
@@ -220,9 +221,8 @@ def _moving_zones(law: StaticInverse[Any], drive_v: Array, zones: int) -> CPart:
 def _(law: GeneralisedInverseLaw, start: Any) -> CPart:
     """The walk of the plays, then the inverse of the envelopes."""
     envelopes, (low, high), within = envelopes_part(law.hysteresis), law.range.counted, law.plays.range
-    values = np.full((law.n_inputs, envelopes.sizes[0].value), np.inf)
-    for out, one in zip(values, law.hysteresis.envelopes, strict=True):
-        out[: len(one.values_v) - 2] = one.values_v[1:-1]
+    ends = [one.values_v[1:-1] for one in law.hysteresis.envelopes]
+    values = padded(ends, envelopes.sizes[0].value, np.inf)
     own = CPart(
         tables=(
             Table("value_end", values, "Value of each line at its upper end [V]: input, line."),

@@ -170,8 +170,6 @@ def _own(node: Any) -> int:
 
 def _straight_of(node: Any) -> int:
     """Operations of an expression, those of the functions that it calls left out."""
-    if node is None:
-        return 0
     return _own(node) + sum(_straight_of(part) for _, part in node.children())
 
 
@@ -231,8 +229,6 @@ def _compares(node: Any, name: str) -> bool:
 def _writes(node: Any, name: str) -> bool:
     """Whether a statement changes a variable."""
     kind = type(node).__name__
-    written = node.lvalue if kind == "Assignment" else node.expr if kind == "UnaryOp" else None
     taken = kind == "UnaryOp" and node.op in ("p++", "p--", "++", "--", "&")
-    if getattr(written, "name", "") == name and (kind == "Assignment" or taken):
-        return True
-    return any(_writes(part, name) for _, part in node.children())
+    written = node.lvalue if kind == "Assignment" else node.expr if taken else None
+    return getattr(written, "name", "") == name or any(_writes(part, name) for _, part in node.children())

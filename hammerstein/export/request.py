@@ -10,7 +10,7 @@ from pydantic import Field
 from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.attempt import sensorless_law
+from hammerstein.compensators.attempt import compensator_of, sensorless_law
 from hammerstein.compensators.drive_file import Terms, allowed_range, refuse_flagged
 from hammerstein.dynamics import on_grid
 from hammerstein.errors import InputError
@@ -107,7 +107,8 @@ class Request(Strict):
                 what = "applies to laws; the exported model starts at rest: drive it to both ends first"
                 raise InputError("--conditioned", what)
             return ForwardModel(model, limits, self.sample_time_s)
-        return sensorless_law(self.law, self.options, model, limits, self.sample_time_s)
+        law = compensator_of(self.law, self.options)
+        return sensorless_law(law, model, limits, self.sample_time_s)
 
 
 def request_of(

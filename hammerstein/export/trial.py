@@ -177,27 +177,21 @@ def _reach(law: Law[Any], model: HammersteinModel) -> tuple[Array, Array]:
 
 def _waves(axes: int, samples: int, seed: int) -> Iterator[Array]:
     """Parts within -1 to 1, but for the saturated one."""
-    rng, n = Uniform(seed), -(-samples // WAVES)
+    words, n = np.random.PCG64(seed), -(-samples // WAVES)
     turn = 2.0 * np.pi * np.arange(n) / n
     rates = 3.0 + 2.0 * np.arange(axes)[:, None]
     yield 0.8 * np.sin(rates * turn) * np.minimum(1.0, 2.0 * turn / np.pi)
-    yield 0.9 * np.sin(np.cumsum(rng.of(axes, n) / 8.0, axis=1))
-    yield 0.7 * rng.of(axes, n)
-    yield np.repeat(0.8 * rng.of(axes, -(-n // 25)), 25, axis=1)[:, :n]
+    yield 0.9 * np.sin(np.cumsum(_uniform(words, axes, n) / 8.0, axis=1))
+    yield 0.7 * _uniform(words, axes, n)
+    yield np.repeat(0.8 * _uniform(words, axes, -(-n // 25)), 25, axis=1)[:, :n]
     yield BEYOND * np.sin((rates - 1.5) * turn)
     yield 0.9 * np.cos(7.0 * turn) * (1.0 - turn / (2.0 * np.pi)) * np.ones((axes, 1))
 
 
-class Uniform:
-    """Numbers from -1 to 1 that no version of NumPy changes: the raw words of a generator."""
-
-    def __init__(self, seed: int):
-        self._words = np.random.PCG64(seed)
-
-    def of(self, axes: int, samples: int) -> Array:
-        """Numbers (axis, sample)."""
-        words = np.asarray(self._words.random_raw(axes * samples), dtype=np.uint64) >> np.uint64(11)
-        return (2.0 * words.astype(np.float64) * 2.0**-53 - 1.0).reshape(axes, samples)
+def _uniform(words: np.random.PCG64, axes: int, samples: int) -> Array:
+    """Numbers (axis, sample) from -1 to 1 that no version of NumPy changes: raw words of a generator."""
+    raw = np.asarray(words.random_raw(axes * samples), dtype=np.uint64) >> np.uint64(11)
+    return (2.0 * raw.astype(np.float64) * 2.0**-53 - 1.0).reshape(axes, samples)
 
 
 STARTS, ROUNDS, LENGTH = 8, 80, 60  # of a random search: begins, changes of each, length of a drive
@@ -216,16 +210,16 @@ def worst_case_step(operations: Callable[[Array], int], reach: Array) -> tuple[i
     operations : operations of the most expensive step of a signal (axis, sample) from the start
     reach : (axis,) largest value of each axis
     """
-    rng, axes, worst = Uniform(seed=11), len(reach), 0
+    words, axes, worst = np.random.PCG64(11), len(reach), 0
 
     def levels(samples: int) -> Array:
-        return np.asarray(np.round(1.25 * LEVELS * rng.of(axes, samples)) / LEVELS)
+        return np.asarray(np.round(1.25 * LEVELS * _uniform(words, axes, samples)) / LEVELS)
 
     for start in range(STARTS):
         best, most = levels(LENGTH), 0
         for _ in range(ROUNDS):
             trial = best.copy()
-            where = (0.5 * LENGTH * (rng.of(1, 3)[0] + 1.0)).astype(np.int64)
+            where = (0.5 * LENGTH * (_uniform(words, 1, 3)[0] + 1.0)).astype(np.int64)
             jumps = levels(len(where))
             trial[:, where] = 1.25 * np.sign(jumps) if start % 2 else jumps
             found = operations(reach[:, None] * trial)

@@ -118,7 +118,9 @@ def test_a_run_up_leads_to_the_settled_period(tmp_path, capsys):
 
 def test_what_does_not_settle_without_creep_is_not_blamed_on_creep(monkeypatch):
     model = HammersteinModel.load("duo_bimorph")
-    law = cycle.sensorless_law("hammerstein_inverse", {}, model, allowed_range(model, Terms()), T)
+    law = cycle.sensorless_law(
+        cycle.compensator_of("hammerstein_inverse", {}), model, allowed_range(model, Terms()), T
+    )
     monkeypatch.setattr(cycle, "SETTLED", -1.0)
     with pytest.raises(SimulationError) as caught:
         cycle.settled(law, model, np.zeros((2, 400)))

@@ -73,8 +73,26 @@ class StaticInverse(Law[S]):
     """
 
     invertibility: Invertibility
+    hysteresis: Hysteresis[Any]
     _design: Tables
     _start: S
+
+    def __init__(
+        self,
+        hysteresis: Hysteresis[Any],
+        model: HammersteinModel,
+        range_v: RangeLike,
+        softening_v: float = 0.0,
+        run_anyway: bool = False,
+    ):
+        self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
+        self.hysteresis = hysteresis.counted_from(self.range.working_point_v)
+        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
+        self._prepare(model, run_anyway)
+
+    @abstractmethod
+    def _prepare(self, model: HammersteinModel, run_anyway: bool) -> None:
+        """Look whether there is an inverse; set its tables, its start, and the positions there."""
 
     def design_tables(self) -> Tables:
         """Tables of ``piece_kernels`` as they are before a run."""
@@ -118,20 +136,9 @@ class ZonesInverse(StaticInverse[DriveState]):
     The walk finds them as zones beside one play of threshold and weight 0.
     """
 
-    hysteresis: Hysteresis[Any]
-
-    def __init__(
-        self,
-        hysteresis: Hysteresis[Any],
-        model: HammersteinModel,
-        range_v: RangeLike,
-        softening_v: float = 0.0,
-        run_anyway: bool = False,
-    ):
-        self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
-        self.hysteresis = hysteresis.counted_from(self.range.working_point_v)
-        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.invertibility = replace(invertibility(hysteresis), inputs=model.inputs)
+    def _prepare(self, model: HammersteinModel, run_anyway: bool) -> None:
+        """See ``StaticInverse._prepare``."""
+        self.invertibility = replace(invertibility(self.hysteresis), inputs=model.inputs)
         require_inverse(self.invertibility, "exact_inverse", run_anyway)
         zones, largest_v, gain = self._room(run_anyway)
         w, here = tables(self.n_inputs, zones)
@@ -216,10 +223,12 @@ class ExactInverseLaw(StaticInverse[ExactState]):
     def __init__(
         self, model: HammersteinModel, range_v: RangeLike, softening_v: float = 0.0, run_anyway: bool = False
     ):
-        self.range, self.softening_v = DriveRange.of(range_v, model), softening_v
-        hysteresis = model.hysteresis.counted_from(self.range.working_point_v)
+        super().__init__(model.hysteresis, model, range_v, softening_v, run_anyway)
+
+    def _prepare(self, model: HammersteinModel, run_anyway: bool) -> None:
+        """See ``StaticInverse._prepare``."""
+        hysteresis, softening_v = self.hysteresis, self.softening_v
         assert isinstance(hysteresis, PrandtlIshlinskii | Asymmetric)
-        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
         if not (np.isfinite(softening_v) and softening_v >= 0.0):
             raise InputError("softening_v", f"must be 0 V or more, not {softening_v:g}")
         found = invertibility(hysteresis, np.array(self.range.counted), model.amplitude_v)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.blocks.driving import DriveRange, RangeLike
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.compensators.exact.inverse import (
     ExactInverseLaw,
@@ -40,24 +40,17 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
     SimulationError : the plays have no inverse
     """
 
-    def __init__(
-        self,
-        hysteresis: Generalised,
-        model: HammersteinModel,
-        range_v: RangeLike,
-        softening_v: float = 0.0,
-        run_anyway: bool = False,
-    ):
-        self.range = DriveRange.of(range_v, model)
-        self.hysteresis = hysteresis.counted_from(self.range.working_point_v)
-        self.n_inputs, self.n_outputs = hysteresis.n_inputs, hysteresis.n_outputs
-        self.plays = self._of_plays(model, softening_v, run_anyway)
+    hysteresis: Generalised
+
+    def _prepare(self, model: HammersteinModel, run_anyway: bool) -> None:
+        """See ``StaticInverse._prepare``."""
+        self.plays = self._of_plays(model, run_anyway)
         self._design, self._start = self.plays.design_tables(), self.plays.rest()
         found = invertibility(self.hysteresis, np.array(self.range.counted), model.amplitude_v)
         self.invertibility = replace(found, inputs=model.inputs)
-        self.softening_v, self.origin_um = softening_v, self.plays.origin_um
+        self.origin_um = self.plays.origin_um
 
-    def _of_plays(self, model: HammersteinModel, softening_v: float, run_anyway: bool) -> ExactInverseLaw:
+    def _of_plays(self, model: HammersteinModel, run_anyway: bool) -> ExactInverseLaw:
         """The exact inverse of the plays, within what the envelopes make of the range."""
         limits, zero = self.range, np.zeros(self.n_inputs)
         start = limits.start_v - limits.working_point_v
@@ -66,7 +59,7 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
         within = DriveRange(low, high, zero, start, limits.conditioned)
         voltages = Voltages.symmetric(model.amplitude_v, self.n_inputs)
         plays = replace(model, hysteresis=self.hysteresis.plays, voltages=voltages, covariance=None)
-        return ExactInverseLaw(plays, within, softening_v, run_anyway)
+        return ExactInverseLaw(plays, within, self.softening_v, run_anyway)
 
     def solve(
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None

@@ -183,7 +183,13 @@ class FeedbackController(Controller[ControllerState]):
 
         Raises InputError for another sample time than the controller was designed for.
         """
-        return FeedbackStream(self).to_iosys(sample_time_s, name)
+        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+
+        require_grid(self.sample_time_s, sample_time_s, "controller")
+        stream = FeedbackStream(self)
+        block = Stepwise(stream.rest(), stream.step, StreamState.as_dict, stream.rest().restored)
+        wires = dict.fromkeys(("reference_um", "reading_um"), self.n_outputs)
+        return BlockSystem(block, wires, {"requested_v": self.n_inputs}, sample_time_s, name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,15 +252,6 @@ class FeedbackStream:
         late, ahead = self.law.late_samples, self.law.feedforward.preview_samples
         waiting = np.hstack([np.zeros((self.law.n_outputs, late)), reference[:, :ahead]])
         return StreamState(self.law.rest(), waiting, forward), coming
-
-    def to_iosys(self, sample_time_s: float, name: str) -> BlockSystem:
-        """Give the block as a discrete ``control.NonlinearIOSystem``; see ``FeedbackController.to_iosys``."""
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
-
-        require_grid(self.law.sample_time_s, sample_time_s, "controller")
-        block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.rest().restored)
-        wires = dict.fromkeys(("reference_um", "reading_um"), self.law.n_outputs)
-        return BlockSystem(block, wires, {"requested_v": self.law.n_inputs}, sample_time_s, name)
 
 
 def closed_loop(law: Controller[Any], plant: Plant, reference_um: ArrayLike, seed: list[int]) -> Response:

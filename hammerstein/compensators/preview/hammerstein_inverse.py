@@ -19,7 +19,7 @@ from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
 from hammerstein.dynamics import LinearBlock, WithLoop
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import Frequency, Volts, Wait, interval
+from hammerstein.quantities import Frequency, Volts, Wait, interval, number_of
 
 EFFORT = 1e-4  # small: the drive then leaves its range only when the path is nearly met again
 DOUBLINGS = 11  # of one sample: a horizon of 2048
@@ -141,10 +141,9 @@ class HammersteinInverseLaw(Law[PathState]):
         """Say what the law does before a run: inverse of the hysteresis, preview, delay, large gains."""
         parts = [self.exact.invertibility.statement(), self.linear.statement()]
         ahead = self.preview_samples
-        samples = "1 sample" if ahead == 1 else f"{ahead} samples"
         if ahead != self.linear.preview_samples or self.delay_samples:
             parts.append(
-                f"With its filter, the law needs the reference {samples} ahead "
+                f"With its filter, the law needs the reference {number_of(ahead, 'sample')} ahead "
                 f"({interval(ahead * self.sample_time_s)})"
                 + (f"; the position is {interval(self.delay_s)} late." if self.delay_samples else ".")
             )
