@@ -129,10 +129,12 @@ def asymmetric(smallest_v=0.0, working_point_v=40.0):
     )
 
 
-def generalised(tangent_v=0.0):
-    """Two axes around 40 V whose plays see envelopes of three lines, with a tangent or not, and of one."""
-    around = asymmetric()
-    bent = Envelope([-20.0, 30.0, 70.0, 140.0], [-20.0, 30.0, 90.0, 150.0], tangent_v, 0.05, 55.0)
+def generalised(tangent_v=0.0, lines=3):
+    """Two axes around 40 V whose plays see envelopes of so many lines, with a tangent or not, and of one."""
+    around, ends = asymmetric(), [-20.0, 30.0, 70.0, 140.0]
+    voltages = np.interp(np.linspace(0.0, 3.0, lines + 1), range(4), ends)
+    values = np.interp(voltages, ends, [-20.0, 30.0, 90.0, 150.0])
+    bent = Envelope(voltages, values, tangent_v, 0.05, 55.0)
     straight = Envelope([0.0, 100.0], [0.0, 80.0])
     return replace(
         around, name="bent stage", hysteresis=Generalised((bent, straight), around.hysteresis.plays)
@@ -257,6 +259,7 @@ def _cases():
     yield Export("saturating model", generalised(20.0), "model")
     for law in ("exact_inverse", "hammerstein_inverse"):
         yield Export(f"saturating {law}", generalised(20.0), law, {"start_v": (20.0, 60.0)})
+    yield Export("saturating exact_inverse of 13 lines", generalised(20.0, 13), "exact_inverse")
     yield Export("preisach model", preisach(), "model")
     for law in ("exact_inverse", "hammerstein_inverse"):
         yield Export(f"preisach {law}", preisach(), law, {"start_v": (20.0, 60.0)})

@@ -222,7 +222,8 @@ def _(law: GeneralisedInverseLaw, start: Any) -> CPart:
     """The walk of the plays, then the inverse of the envelopes."""
     envelopes, (low, high), within = envelopes_part(law.hysteresis), law.range.counted, law.plays.range
     ends = [one.values_v[1:-1] for one in law.hysteresis.envelopes]
-    values = padded(ends, envelopes.sizes[0].value, np.inf)
+    lines = next(size.value for size in envelopes.sizes if size.name == "LINES")
+    values = padded(ends, lines, np.inf)
     own = CPart(
         tables=(
             Table("value_end", values, "Value of each line at its upper end [V]: input, line."),
