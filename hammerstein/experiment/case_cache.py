@@ -6,8 +6,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from hammerstein.experiment.measure import Result, rows_of
-from hammerstein.experiment.report import Target, Trace
+from hammerstein.experiment.measure import Result, rows_of, trace_of
+from hammerstein.experiment.report import Target
 from hammerstein.experiment.set_up import Case, Progress, SetUp
 from hammerstein.files import digest_of, digest_of_file
 from hammerstein.metrics import Row
@@ -128,8 +128,7 @@ def _restored(setup: SetUp, case: Case, entry: Kept) -> Result:
         Target(label, arrays[f"reading_{number}"], arrays[f"position_{number}"])
         for number, label in enumerate(found["predictions"])
     )
-    axis, first = setup.excited_axis(case), found["first_sample"]
-    trace = Trace(case.label, case.signal, axis, response, first, predictions, case.trial)
+    trace = trace_of(setup, case, response, found["first_sample"], predictions)
     return Result(rows_from(found["rows"]), trace, found["unsettled"], found["clipped"])
 
 

@@ -97,14 +97,9 @@ class _Run:
     def __reduce__(self) -> tuple[Any, ...]:
         return _Run, (self.actuators, self.setup, self.case)
 
-    @property
-    def experiment(self) -> Experiment:
-        """What is done to an actuator."""
-        with self._lock:
-            return self._experiment
-
     @cached_property
     def _experiment(self) -> Experiment:
+        """What is done to an actuator."""
         return self.setup.experiment(self.case)
 
     def which(self, numbers: range) -> list[Any]:
@@ -113,8 +108,9 @@ class _Run:
 
     def over(self, actuators: Sequence[tuple[Plant, int]]) -> Figures:
         """Figures on these actuators, each with the seed of its noise."""
-        names, case = drawn_metrics(), self.case
-        drawn = [drawn_rows(self.setup, case, self.experiment(*actuator)) for actuator in actuators]
+        with self._lock:
+            names, experiment = drawn_metrics(), self._experiment
+        drawn = [drawn_rows(self.setup, self.case, experiment(*actuator)) for actuator in actuators]
         values = [[[row.figures.get(name, np.nan) for name in names] for row in rows] for rows in drawn]
         return Figures(tuple(Row(**row.key()) for row in drawn[0]), np.array(values, dtype=np.float64))
 
@@ -176,28 +172,20 @@ def evaluations(samples: int, parameters: int) -> int:
     return (parameters + 2) * samples
 
 
-@dataclass(frozen=True, eq=False)
-class _Exchanged:
-    """Actuators of one matrix of normal numbers (sample, number), of another, and of both mixed.
+def _exchanged(
+    setting: tuple[Uncertainty, Plant, int], base: tuple[Array, Array], parts: Sequence[slice], number: int
+) -> tuple[Plant, int]:
+    """Actuator of a number: of a row (number,) of one matrix or the other, or with a group exchanged.
 
     All actuators meet the same noise, so that the parameters are the only cause.
     """
-
-    uncertainty: Uncertainty
-    nominal: Plant
-    seed: int
-    parts: tuple[slice, ...]
-    one: Array
-    other: Array
-
-    def __call__(self, number: int) -> tuple[Plant, int]:
-        """Give the actuator of a number: of a row of one matrix, or with the numbers of a group exchanged."""
-        block, at = divmod(number, len(self.one))
-        normal = (self.other if block == 1 else self.one)[at]
-        if block >= 2:  # the first matrix, with the columns of one group from the other
-            normal = normal.copy()
-            normal[self.parts[block - 2]] = self.other[at, self.parts[block - 2]]
-        return Plant(*self.uncertainty.of(self.nominal.model, self.nominal.instruments, normal)), self.seed
+    (uncertainty, nominal, seed), (one, other) = setting, base
+    block, at = divmod(number, len(one))
+    normal = (other if block == 1 else one)[at]
+    if block >= 2:  # the first matrix, with the columns of one group from the other
+        normal = normal.copy()
+        normal[parts[block - 2]] = other[at, parts[block - 2]]
+    return Plant(*uncertainty.of(nominal.model, nominal.instruments, normal)), seed
 
 
 def sensitivities_of(
@@ -219,10 +207,10 @@ def sensitivities_of(
     scenario, nominal = kept.setup.scenario, kept.setup.plant
     groups = _groups(uncertainty, nominal.model)
     base = _base(uncertainty, sum(p.size for p in uncertainty.parameters(nominal.model)))
-    parts = tuple(part for _, part in groups)
+    parts = [part for _, part in groups]
     names, samples = [parameter.name for parameter, _ in groups], uncertainty.sensitivity
     key, count = [uncertainty.model_dump_json(exclude=NO_PART), samples], evaluations(samples, len(parts))
-    exchanged = _Exchanged(uncertainty, nominal, scenario.seed, parts, *base)
+    exchanged = partial(_exchanged, (uncertainty, nominal, scenario.seed), base, parts)
     found = figures_on(Actuators("finding sensitivities", key, count, exchanged), kept, cases)
     return tuple(one for figures in found for one in _indices(figures, names, samples, uncertainty.seed))
 

@@ -2,7 +2,7 @@
 
 import cmath
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -32,10 +32,8 @@ class PredictionState(NamedTuple):
     linear: Array | None = None
 
 
-def recorded(setup: SetUp, case: Case) -> tuple[Response, Sequence[Target | None]]:
+def recorded(setup: SetUp, case: Case) -> tuple[Response, Sequence[Target]]:
     """Response and targets of a case, on the samples that the scenario records.
-
-    A single None is the target where there is nothing to compare with.
 
     The models predict from every sample. A case that can be is simulated part by part.
     """
@@ -47,14 +45,14 @@ def recorded(setup: SetUp, case: Case) -> tuple[Response, Sequence[Target | None
     for part in setup.blocks(case, block) if long else [setup.simulate(case)]:
         found, memory = targets_of(setup, case, part, memory)
         parts.append(part.every(every))
-        targets.append([None if target is None else target.part(recorded_part) for target in found])
+        targets.append([target.part(recorded_part) for target in found])
     return Response.joined(parts), [_joined(same) for same in zip(*targets, strict=True)]
 
 
 def targets_of(
     setup: SetUp, case: Case, response: Response, start: Mapping[str, PredictionState] | None = None
-) -> tuple[Sequence[Target | None], Mapping[str, PredictionState]]:
-    """What a response is compared with, and the memory of the models after it."""
+) -> tuple[Sequence[Target], Mapping[str, PredictionState]]:
+    """What a response is compared with, if anything, and the memory of the models after it."""
     if response.reference_um is not None:
         return [Target(case.label, response.reference_um, response.reference_um)], {}
     found: list[Target] = []
@@ -65,7 +63,7 @@ def targets_of(
             model = setup.models[source.label]
             reading, position, memory[source.label] = _prediction(setup, model, response.drive_v, before)
             found.append(Target(source.label, reading, position))
-    return found or [None], memory
+    return found, memory
 
 
 def _prediction(
@@ -85,13 +83,12 @@ def _prediction(
     return reading, position, PredictionState(plays, linear)
 
 
-def _joined(parts: Sequence[Target | None]) -> Target | None:
+def _joined(parts: Sequence[Target]) -> Target:
     """Put the parts of one target together."""
-    known = [part for part in parts if part is not None]
-    if len(known) < 2:
-        return known[0] if known else None
-    reading = np.concatenate([part.reading_um for part in known], axis=1)
-    return Target(known[0].label, reading, np.concatenate([part.position_um for part in known], axis=1))
+    if len(parts) == 1:
+        return parts[0]
+    reading = np.concatenate([part.reading_um for part in parts], axis=1)
+    return Target(parts[0].label, reading, np.concatenate([part.position_um for part in parts], axis=1))
 
 
 SETTLED_FRACTION = 1e-3  # cycles may differ by this part of the range, beside the sensor's noise
@@ -203,23 +200,20 @@ def rows_of(setup: SetUp, case: Case) -> Result:
     window = Window.of(setup.scenario, case.signal, response.sample_time_s)
     loops = _loops(setup, case, response, window)
     rows = tuple(_rows(setup, case, response, targets, setup.scenario.metrics(), loops))
-    predictions = tuple(
-        target.part(slice(window.first, None))
-        for target in targets
-        if target is not None and setup.scenario.drive is not None
-    )
-    trace = Trace(
-        label=case.label,
-        signal=case.signal,
-        excited_axis=setup.excited_axis(case),
-        response=response.after(window.first),
-        first_sample=window.first,
-        predictions=predictions,
-        trial=case.trial,
-    )
+    predicted = targets if setup.scenario.drive is not None else ()
+    predictions = tuple(target.part(slice(window.first, None)) for target in predicted)
+    trace = trace_of(setup, case, response.after(window.first), window.first, predictions)
     unsettled = "" if settled(setup, case, response) else advice(setup, case)
     clipped = setup.plant.instruments.sensor.clipped(response.reading_um[:, window.first :])
     return Result(rows, trace, unsettled, clipped)
+
+
+def trace_of(
+    setup: SetUp, case: Case, measured: Response, first: int, predictions: tuple[Target, ...]
+) -> Trace:
+    """Trace of a case from its first measured sample on."""
+    axis = setup.excited_axis(case)
+    return Trace(case.label, case.signal, axis, measured, first, predictions, case.trial)
 
 
 def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
@@ -246,19 +240,19 @@ def _rows(
     setup: SetUp,
     case: Case,
     response: Response,
-    targets: Sequence[Target | None],
-    wanted: Iterable[Metric],
+    targets: Sequence[Target],
+    wanted: Sequence[Metric],
     loops: Sequence[LoopFigures] | None = None,
 ) -> Iterator[Row]:
     """Rows target by target, within each of them axis by axis."""
     first = Window.of(setup.scenario, case.signal, response.sample_time_s).first
-    axes, key, wanted = setup.plant.model.outputs, _key(setup, case), list(wanted)
+    axes, key = setup.plant.model.outputs, _key(setup, case)
     path = response.reference_um if case.axis is None else None
     middle = None if path is None else case.signal.middle(len(path), np.zeros(len(path)))
     samples = case.signal.period_s / response.sample_time_s
     several = case.signal.repeats and setup.scenario.measure.measured_cycles > 1
     whole = round(samples) if several and abs(samples - round(samples)) < 1e-6 else None
-    for target in targets:
+    for target in targets or (None,):
         measured = Measured(
             response.sample_time_s,
             response.reading_um[:, first:],
@@ -323,13 +317,9 @@ def _loops(setup: SetUp, case: Case, response: Response, window: Window) -> list
 def _sensor_lag(setup: SetUp, rows: Sequence[Row]) -> list[str]:
     """Say where the reading is off because of the sensor, not because the actuator is."""
     sensor = setup.plant.instruments.sensor
-    seen = [(row.rms_um, row.rms_true_um, row) for row in rows if setup.scenario.reference is not None]
-    lagging = [
-        (reading, true, row)
-        for reading, true, row in seen
-        if reading is not None and true is not None and reading > LAGGING * true
-    ]
-    if math.isinf(sensor.bandwidth_hz) or not lagging:
+    seen = [(row.rms_um or 0.0, row.rms_true_um or 0.0, row) for row in rows]  # both None without a reference
+    lagging = [found for found in seen if found[0] > LAGGING * found[1]]
+    if setup.scenario.reference is None or math.isinf(sensor.bandwidth_hz) or not lagging:
         return []
     reading, true, row = max(lagging, key=lambda found: found[0] - found[1])
     why = "is noisy" if reading < LAGGING * sensor.noise_um else f"of {sensor.bandwidth_hz:g} Hz lags"
@@ -371,14 +361,12 @@ def _sampling(setup: SetUp) -> Iterator[str]:
             f"causes an error of {100.0 * share:.2g} % of a sine's amplitude; the error exceeds "
             f"{100.0 * HOLD_SHARE:g} % above {HOLD_SHARE / (math.pi * step):.3g} Hz. "
         )
-        if isinstance(setup.plant.model.dynamics, StaticDynamics):
-            yield (
-                held
-                + "Without dynamics, it occurs between the samples only; "
-                + "the numbers in this report are errors at the samples."
-            )
-        else:
-            yield held + "Only a law or a model with dynamics accounts for it."
+        yield held + (
+            "Without dynamics, it occurs between the samples only; the numbers in this report are errors at "
+            "the samples."
+            if isinstance(setup.plant.model.dynamics, StaticDynamics)
+            else "Only a law or a model with dynamics accounts for it."
+        )
     for source in (*scenario.compensators, *scenario.models):
         own = getattr(source.identification, "sample_time_s", None)
         if own is not None and not math.isclose(own, step):

@@ -200,9 +200,8 @@ class Condition:
     @classmethod
     def of(cls, row: Row) -> Condition:
         """Condition of a row."""
-        if row.amplitude_um is not None:
-            return cls(row.frequency_hz, row.amplitude_um, "um", row.trial)
-        return cls(row.frequency_hz, row.amplitude_v, "V", row.trial)
+        size = (row.amplitude_v, "V") if row.amplitude_um is None else (row.amplitude_um, "um")
+        return cls(row.frequency_hz, *size, row.trial)
 
     def only(self, parts: Collection[str]) -> Condition:
         """Give it without its other parts."""

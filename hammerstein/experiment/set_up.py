@@ -328,9 +328,7 @@ def _models(
     sources: list[ModelSource] = [s for s in (*scenario.compensators, *scenario.models) if s.is_tested]
     asked = {source.identification for source in sources}
     experiments = {spec: i for spec, i in scenario.experiments().items() if spec in asked}
-    identified: Iterator[HammersteinModel] = iter(())
-    if experiments:
-        identified = identify_each(plant, experiments, scenario.seed, store, jobs)
+    identified = identify_each(plant, experiments, scenario.seed, store, jobs)
     for i, source in enumerate(sources):
         if progress:
             progress(f"identifying{on_workers(jobs)}", i, len(sources))

@@ -203,12 +203,10 @@ def _of_claim(scenario: Scenario, claim: Claim) -> Scenario:
     if None in named:
         return scenario
 
-    def kept(sources: Iterable[ModelSource]) -> tuple[ModelSource, ...]:
-        return tuple(s if s.label in named else s.model_copy(update={"only_at_hz": ()}) for s in sources)
+    def change(source: ModelSource) -> ModelSource:
+        return source if source.label in named else source.model_copy(update={"only_at_hz": ()})
 
-    return scenario.model_copy(
-        update={"compensators": kept(scenario.compensators), "models": kept(scenario.models)}
-    )
+    return _with_sources(scenario, change) or scenario
 
 
 def _with_sources(scenario: Scenario, change: Callable[[Any], Any]) -> Scenario | None:

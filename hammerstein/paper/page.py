@@ -131,31 +131,21 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
 def readings_of(reports: Sequence[Report]) -> list[Met]:
     """The counted claims of all reports, by the actuator that they were asked of."""
     counted = [j for report in reports for j in claimed(report) if not j.calibrated]
-    return [
-        Met.of(name, counted) for name in dict.fromkeys(one.actuator for j in counted for one in j.simulated)
-    ]
+    answers = by_key((one for j in counted for one in j.simulated), lambda one: one.actuator)
+    return [Met(name, _reading(name), [one.agrees for one in own]) for name, own in answers.items()]
 
 
 class Met(NamedTuple):
-    """Claims asked of one actuator, by their verdict, and the reading of the paper that it is."""
+    """Verdicts on the claims asked of one actuator, and the reading of the paper that it is."""
 
     actuator: str
     words: str
-    met: tuple[str, ...]
-    unmet: tuple[str, ...]
-    open: tuple[str, ...]
-
-    @classmethod
-    def of(cls, actuator: str, judgements: Sequence[ClaimJudgement]) -> Met:
-        """Sort the claims of one actuator."""
-        asked = [(j.id, one.agrees) for j in judgements for one in j.simulated if one.actuator == actuator]
-        sorted_ = (tuple(name for name, agrees in asked if agrees is kind) for kind in (True, False, None))
-        return cls(actuator, _reading(actuator), *sorted_)
+    verdicts: Sequence[bool | None]
 
     def text(self) -> str:
         """How many hold, of how many."""
-        asked = len(self.met) + len(self.unmet) + len(self.open)
-        return f"{len(self.met)} of {asked} met, {len(self.open)} undecided"
+        met, undecided = self.verdicts.count(True), self.verdicts.count(None)
+        return f"{met} of {len(self.verdicts)} met, {undecided} undecided"
 
 
 def _reading(actuator: str) -> str:

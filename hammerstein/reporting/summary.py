@@ -161,9 +161,8 @@ def _compared(report: Report, contest: Contest) -> Sentence:
 
 def _values(rows: Iterable[Row], name: str) -> dict[str, float]:
     """Largest value over the axes by label, smallest first."""
-    rows = list(rows)
-    found = {n: largest((row for row in rows if row.compensator == n), name) for n in labels_of(rows)}
-    known = [(label, value) for label, value in found.items() if value is not None]
+    own = by_key(rows, lambda row: row.compensator)
+    known = [(n, value) for n, rows in own.items() if (value := largest(rows, name)) is not None]
     return dict(sorted(known, key=lambda item: item[1]))
 
 

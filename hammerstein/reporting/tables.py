@@ -234,14 +234,13 @@ def _rms_and_worst(row: Row, which: str) -> str:
 
 
 def selected_frequencies(frequencies: Sequence[float], marked: Iterable[float], most: int) -> list[float]:
-    """At most so many frequencies: the ends, those marked, and others spread evenly between them.
+    """At most so many of sorted frequencies: the ends, those marked, and others spread evenly between them.
 
     >>> selected_frequencies([10, 20, 30, 40, 50, 60, 70, 80], [50], 4)
     [10, 30, 50, 80]
     """
-    ordered = sorted(set(frequencies))
-    kept = {ordered[0], ordered[-1], *(f for f in marked if f in ordered)}
-    spread = [ordered[round(i * (len(ordered) - 1) / (most - 1))] for i in range(most)]
+    kept = {frequencies[0], frequencies[-1], *(f for f in marked if f in frequencies)}
+    spread = [frequencies[round(i * (len(frequencies) - 1) / (most - 1))] for i in range(most)]
     for frequency in spread:
         if len(kept) < most:
             kept.add(frequency)

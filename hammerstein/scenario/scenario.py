@@ -61,11 +61,9 @@ class Sweep(Strict):
 
     def combinations(self, only: str | None = None) -> Iterator[dict[str, float]]:
         """Every combination of the values, by key; of one key alone if ``only`` names it."""
-        swept = self.values()
         together = self.combine == "zip"
-        if not together:
-            swept = [(name, values) for name, values in swept if only in (None, name)]
-        names, values = [name for name, _ in swept], [values for _, values in swept]
+        swept = {name: values for name, values in self.values() if together or only in (None, name)}
+        names, values = list(swept), list(swept.values())
         for found in zip(*values, strict=True) if together else itertools.product(*values):
             yield {name: value for name, value in zip(names, found, strict=True) if only in (None, name)}
 

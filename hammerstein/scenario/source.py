@@ -104,15 +104,9 @@ class JointFitSpec(Strict):
         """
         from hammerstein.identification.settings import Settings
 
-        return Settings(
-            operators=self.operators,
-            partition=self.partition,
-            hysteresis=self.hysteresis or "prandtl_ishlinskii",
-            dead_zones=self.dead_zones,
-            dynamics=self.dynamics or "second_order",
-            creep_modes=self.creep_modes,
-            error_curve=False,
-        )
+        names = {"operators", "partition", "hysteresis", "dead_zones", "dynamics", "creep_modes"}
+        given = {"dynamics": "second_order"} | self.model_dump(include=names, exclude_none=True)
+        return Settings(**given, error_curve=False)
 
     @model_validator(mode="after")
     def _goes_together(self) -> Self:

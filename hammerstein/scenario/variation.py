@@ -116,17 +116,13 @@ class _Given:
     """Numbers that were chosen beforehand."""
 
     def __init__(self, numbers: Array) -> None:
-        self._numbers, self._next = numbers, 0
-
-    @property
-    def left(self) -> int:
-        """How many numbers nobody has asked for."""
-        return len(self._numbers) - self._next
+        self.left = numbers
 
     def standard_normal(self, size: Any = None) -> Any:
         """One number, or an array."""
-        first, self._next = self._next, self._next + (1 if size is None else size)
-        return self._numbers[first] if size is None else self._numbers[first : self._next]
+        count = 1 if size is None else size
+        given, self.left = self.left[:count], self.left[count:]
+        return given[0] if size is None else given
 
 
 Drawn = tuple[HammersteinModel, Instruments]
@@ -188,7 +184,7 @@ class Uncertainty(Strict):
         """Actuator and instruments of standard normal numbers, in the order of ``parameters``."""
         given = _Given(normal)
         found = self.drawn(model, instruments, given)
-        assert given.left == 0, "parameters() and drawn() differ"
+        assert not len(given.left), "parameters() and drawn() differ"
         return found
 
     def parameters(self, model: HammersteinModel) -> tuple[Parameter, ...]:

@@ -416,11 +416,9 @@ def error_runs(report: Report, traces: Sequence[Trace]) -> Iterator[ErrorRun]:
 
 
 def driven_of(report: Report, trace: Trace) -> int:
-    """Number of the input that a trace excites: named by the trace, or by its signal."""
+    """Number of the input that a trace excites."""
     names = report.inputs if report.scenario.drive is not None else report.axes
-    if trace.excited_axis in names:
-        return names.index(trace.excited_axis)
-    return int(trace.signal.model_dump()["axis"]) - 1
+    return names.index(trace.excited_axis)
 
 
 def _closed_cycle(trace: Trace, signals: Array) -> Array:

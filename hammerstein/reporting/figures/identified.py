@@ -30,16 +30,15 @@ from hammerstein.reporting.figures.style import (
     WIDTH_IN,
     axis_label,
     column_words,
+    drawing,
     extremes,
     in_lines,
     legend_above,
     letter,
     line_style,
-    new_figure,
     plain,
     plain_numbers,
     sparse_markers,
-    styled,
     thin_trace,
     time_axis,
     unmarked_style,
@@ -154,8 +153,7 @@ def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:
     kinds: list[Kind] = [fit.kind, *(kind for kind in others if kind != fit.kind)]
     left = {kind: fit.candidates[kind].residual(record, start) for kind in kinds}
     most = MOST_POINTS // (2 * len(fit.outputs))
-    with styled():
-        figure = new_figure(0.9 + 2.2 * len(fit.outputs))
+    with drawing(0.9 + 2.2 * len(fit.outputs)) as figure:
         panels = figure.subplots(len(fit.outputs), 2, squeeze=False)
         entries: dict[str, Artist] = {}
         for o, row in enumerate(panels):
@@ -223,8 +221,7 @@ def operators_figure(fit: Fit) -> Figure:
     thresholds = sum(map(max, zip(*fit.operators, strict=True)))  # parameters behind them are of the axes
     fitted = fit.covariance is not None and any(i < thresholds for i in fit.covariance.fitted)
     chosen = sorted({n for row in fit.operators for n in row})
-    with styled():
-        figure = new_figure(0.4 * WIDTH_IN, columns=1)
+    with drawing(0.4 * WIDTH_IN, columns=1) as figure:
         axes = figure.subplots()
         entries: dict[str, Artist] = {}
         for o, name in enumerate(fit.outputs):
@@ -261,8 +258,7 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
     measured, said : estimated responses of the records, and of the model's predictions
     """
     p, m = measured.response.shape[:2]
-    with styled():
-        figure = new_figure(0.9 + 2.1 * p)
+    with drawing(0.9 + 2.1 * p) as figure:
         panels = figure.subplots(p, m + 1, squeeze=False)
         entries: dict[str, Artist] = {}
         for number, ((o, k), axes) in enumerate(np.ndenumerate(panels)):
@@ -314,8 +310,7 @@ def compared_figure(found: Comparison) -> Figure:
     """
     names = [entry.name for entry in found.entries]
     labels = [in_lines(f"{entry.name} ({entry.parameters})", NAME_LETTERS) for entry in found.entries]
-    with styled():
-        figure = new_figure(1.5 + 0.34 * max(5, len(names)))
+    with drawing(1.5 + 0.34 * max(5, len(names))) as figure:
         panels = figure.subplots(1, 2)
         fitted = [entry.fitted_at for entry in found.entries]
         entries = _draw_errors(panels[0], fitted, "fitted", hollow=bool(found.held))

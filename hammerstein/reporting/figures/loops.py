@@ -225,17 +225,16 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
     runs = []
     names = file_labels([record.source for record in records])
     for name, record, table in zip(names, records, tables, strict=True):
+        whose = f", {name}" if len(records) > 1 else ""
         for loop in chosen_loops(table):
-            part = slice(loop.start, loop.stop + 1)
-            driven = record.inputs.index(loop.input)
-            label = f"{loop.amplitude_v:.3g} V" + (f", {name}" if len(records) > 1 else "")
-            runs.append(LoopRun(label, driven, record.u_v[driven, part], record.y_um[:, part]))
+            part, k = slice(loop.start, loop.stop + 1), record.inputs.index(loop.input)
+            label = f"{loop.amplitude_v:.3g} V{whose}"
+            runs.append(LoopRun(label, k, record.u_v[k, part], record.y_um[:, part]))
         if not table and move_at_once(record):
             for k in driven_inputs(record):
                 if widest := widest_cycle([record], k, alone=False):
                     cycle = widest[1]
-                    label = AT_ONCE + (f", {name}" if len(records) > 1 else "")
-                    runs.append(LoopRun(label, k, record.u_v[k, cycle], record.y_um[:, cycle]))
+                    runs.append(LoopRun(AT_ONCE + whose, k, record.u_v[k, cycle], record.y_um[:, cycle]))
     return figure_of_columns(runs, records[0].inputs, records[0].outputs)
 
 

@@ -13,14 +13,13 @@ from hammerstein.regression.compare import Numbers, all_tolerances, deviation, l
 from hammerstein.reporting.figures.style import (
     PALE,
     WIDTH_IN,
+    drawing,
     few_ticks,
     legend_above,
     letter,
     line_style,
-    new_figure,
     plain,
     plain_numbers,
-    styled,
 )
 from hammerstein.reporting.figures.sweep import log_where_wide
 from hammerstein.scenario.scenario import Tolerance
@@ -106,8 +105,7 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
     metric : name of the number, with its unit
     """
     shown = courses[:MOST_COURSES]
-    with styled():
-        figure = new_figure(1.1 + 0.35 * WIDTH_IN + 0.2 * len(shown))
+    with drawing(1.1 + 0.35 * WIDTH_IN + 0.2 * len(shown)) as figure:
         left, right = figure.subplots(1, 2)
         entries: dict[str, Artist] = {}
         far = max(course.excess for course in shown) > LARGE

@@ -16,6 +16,7 @@ from hammerstein.reporting.figures.style import (
     DARK,
     MOST_POINTS,
     WIDTH_IN,
+    drawing,
     few_ticks,
     in_lines,
     legend_above,
@@ -159,9 +160,8 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
     length = "distance" if len(axes_names) > 1 else "size of error"
     labels = [f"{length} [µm]", *(f"{symbol(name, 'error')} [µm]" for name in axes_names)]
     rows = [(part, 0) for part in parts] if len(parts) > 1 else [(parts[0], k) for k in range(len(labels))]
-    with styled():
-        high, wide = (len(rows), len(groups)) if len(groups) > 1 else side_by_side(len(rows))
-        figure = new_figure(0.8 + (1.6 if high > 1 else 2.4) * high, wide)
+    high, wide = (len(rows), len(groups)) if len(groups) > 1 else side_by_side(len(rows))
+    with drawing(0.8 + (1.6 if high > 1 else 2.4) * high, wide) as figure:
         shared: Any = "all" if len(parts) > 1 else "row" if len(groups) > 1 else False
         grid = figure.subplots(high, wide, squeeze=False, sharey=shared)
         for axes in grid.flat[len(rows) * len(groups) :]:

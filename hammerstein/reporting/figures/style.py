@@ -107,6 +107,13 @@ def new_figure(height_in: float, columns: int = 2) -> Figure:
     return Figure(figsize=(width_in, height_in), dpi=PNG_DPI, layout="constrained")
 
 
+@contextmanager
+def drawing(height_in: float, columns: int = 2) -> Iterator[Figure]:
+    """An empty figure, in this style until the end of the block."""
+    with styled():
+        yield new_figure(height_in, columns)
+
+
 def side_by_side(panels: int) -> tuple[int, int]:
     """Rows and columns for panels that have no arrangement of their own.
 

@@ -13,16 +13,15 @@ from hammerstein.experiment.report import TOO_FEW
 from hammerstein.reporting.figures.style import (
     DARK,
     WIDTH_IN,
+    drawing,
     few_ticks,
     legend_above,
     letter,
     line_style,
-    new_figure,
     plain,
     plain_numbers,
     side_by_side,
     sparse_markers,
-    styled,
     thin_path,
 )
 
@@ -95,12 +94,11 @@ def sweep_figure(
     'log'
     """
     rows, columns = len(panel_titles), len(panel_titles[0])
-    with styled():
-        count = max(math.ceil(len(curves) / MOST_CURVES), 1)
-        groups = [part.tolist() for part in np.array_split(np.arange(len(curves)), count)]
-        lines, across = (rows, columns) if columns > 1 else side_by_side(rows)
-        shape = ALONE if len(groups) == 1 else IN_ROWS
-        figure = new_figure(0.9 + len(groups) * lines * WIDTH_IN / max(columns, 2) * shape, across)
+    count = max(math.ceil(len(curves) / MOST_CURVES), 1)
+    groups = [part.tolist() for part in np.array_split(np.arange(len(curves)), count)]
+    lines, across = (rows, columns) if columns > 1 else side_by_side(rows)
+    shape = ALONE if len(groups) == 1 else IN_ROWS
+    with drawing(0.9 + len(groups) * lines * WIDTH_IN / max(columns, 2) * shape, across) as figure:
         grid = figure.subplots(len(groups) * lines, across, squeeze=False, sharex=True, sharey=True)
         cells = grid.reshape(len(groups), -1)
         for axes in cells[:, rows * columns :].flat:
@@ -238,8 +236,7 @@ def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
     longest = max(float(run.time_s[-1]) for run in runs)
     factor, unit = (1.0 / 60.0, "min") if longest > MINUTES_FROM_S else (1.0, "s")
     rows, columns = side_by_side(len(axes_shown))
-    with styled():
-        figure = new_figure(0.8 + 2.3 * rows, columns)
+    with drawing(0.8 + 2.3 * rows, columns) as figure:
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in panels[len(axes_shown) :]:
             axes.remove()
@@ -286,8 +283,7 @@ def sensitivity_figure(
     ['weights', 'noise']
     """
     places, height = np.arange(len(names), dtype=np.float64), FILLED / len(bars)
-    with styled():
-        figure = new_figure(1.2 + 0.24 * len(names) * max(2, len(bars)), columns=1)
+    with drawing(1.2 + 0.24 * len(names) * max(2, len(bars)), columns=1) as figure:
         axes = figure.subplots()
         entries: dict[str, Artist] = {}
         for number, (label, (alone, together)) in enumerate(bars.items()):
