@@ -198,8 +198,9 @@ class Uncertainty(Strict):
         ]
         axes = model.dynamics.axes if isinstance(model.dynamics, AxesDynamics) else ()
         for name, axis in zip(model.outputs, axes, strict=False):
-            found.append(Parameter(f"resonance of {name}", 1, self.resonance > 0.0))
-            found.append(Parameter(f"damping of {name}", 1, self.damping > 0.0))
+            if axis.resonance_hz is not None:
+                found.append(Parameter(f"resonance of {name}", 1, self.resonance > 0.0))
+                found.append(Parameter(f"damping of {name}", 1, self.damping > 0.0))
             found.append(
                 Parameter(f"creep of {name}", len(axis.creep), self.creep > 0.0 and bool(axis.creep))
             )
@@ -215,14 +216,14 @@ class Uncertainty(Strict):
 
     def _dynamics_drawn(self, model: HammersteinModel, generator: Normals) -> Dynamics:
         dynamics = model.dynamics
-        if isinstance(dynamics, AxesDynamics):
-            axes = tuple(self._axis_drawn(axis, generator) for axis in dynamics.axes)
-            return dynamics.model_copy(update={"axes": axes})
-        if self.resonance or self.damping or self.creep:
+        axes = dynamics.axes if isinstance(dynamics, AxesDynamics) else ()
+        rings = any(axis.resonance_hz is not None for axis in axes)
+        if ((self.resonance or self.damping) and not rings) or (self.creep and not axes):
             raise InputError(
                 "uncertainty", f"{model.name} has no axes with a resonance that could be uncertain"
             )
-        return dynamics
+        drawn = tuple(self._axis_drawn(axis, generator) for axis in axes)
+        return dynamics.model_copy(update={"axes": drawn} if axes else {})
 
     def _axis_drawn(self, axis: Axis, generator: Normals) -> Axis:
         drawn: dict[str, object] = {}

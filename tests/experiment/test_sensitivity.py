@@ -1,11 +1,14 @@
 """Which parameter costs how much: against closed forms, and what is printed before."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.commands.cli import main
+from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, _base, _indices, drawn_metrics
 from hammerstein.experiment.run import run
@@ -50,6 +53,20 @@ def test_indices_of_a_sum_with_a_product_are_those_of_theory():
         assert one.first_low <= one.first <= one.first_high
         assert one.total_low <= one.total <= one.total_high
         assert one.total_high - one.total_low < 0.2
+
+
+def test_axes_without_a_resonance_have_none_that_is_uncertain(tmp_path):
+    """They have a lag, and their weights are uncertain."""
+    model = HammersteinModel.load("duo_bimorph")
+    lagging = str(tmp_path / "lagging.json")
+    replace(model, dynamics=AxesDynamics(axes=(Axis(lag_s=1e-3),) * 2)).save(lagging)
+    asked = SCENARIO | {"uncertainty": {"draws": 2, "weights": 0.05, "sensitivity": 8}}
+    report = run(asked | {"actuator": lagging})
+    names = {found.parameter for found in report.sensitivities}
+    assert "weights of x" in names
+    assert not any(name.startswith(("resonance", "damping")) for name in names)
+    with pytest.raises(InputError, match="no axes with a resonance"):
+        run(SCENARIO | {"actuator": lagging})
 
 
 def test_correlated_weights_are_one_group_whatever_turns_them():
