@@ -190,26 +190,16 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
 
     def describe(self) -> str:
         """Short description."""
-        rates = [pair.load_per_v for row in self.pairs for pair in row if pair.hysteretic_um_per_v]
-        knees = (
-            " to ".join(dict.fromkeys(f"{1.0 / c:.3g}" for c in (max(rates), min(rates)) if c))
-            if rates
-            else ""
-        )
+        rates = sorted(pair.load_per_v for row in self.pairs for pair in row if pair.hysteretic_um_per_v)
+        knees = " to ".join(dict.fromkeys(f"{1.0 / c:.3g}" for c in (*rates[-1:], *rates[:1]) if c))
         way = f", relaxing within {knees} V" if knees else ""
         return f"Bouc-Wen of {self.ports}{way}"
 
     @cached_property
     def bank(self) -> Array:
         """Numbers of all pairs (4, p, m): d, a, and how fast z relaxes while it grows and while it falls."""
-        numbers = [
-            [
-                (pair.direct_um_per_v, pair.hysteretic_um_per_v, pair.load_per_v, pair.unload_per_v)
-                for pair in row
-            ]
-            for row in self.pairs
-        ]
-        return frozen(np.ascontiguousarray(np.moveaxis(np.array(numbers, dtype=np.float64), 2, 0)))
+        names = ("direct_um_per_v", "hysteretic_um_per_v", "load_per_v", "unload_per_v")
+        return frozen([[[getattr(pair, name) for pair in row] for row in self.pairs] for name in names])
 
     def rest(self) -> BoucWenState:
         """Memory of an actuator that was never driven."""
