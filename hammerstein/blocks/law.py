@@ -229,12 +229,11 @@ class Law(WithMemory[S]):
 
         Raises InputError for another sample time than the law was designed for.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(self.sample_time_s, sample_time_s, "compensator")
-        block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)
         wires = {"reference_um": self.n_outputs}, {"requested_v": self.n_inputs}
-        return BlockSystem(block, *wires, sample_time_s, name)
+        return BlockSystem(self.rest(), self.step, self.restore, *wires, sample_time_s, name)
 
 
 class Controller(WithMemory[S]):

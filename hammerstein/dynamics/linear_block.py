@@ -98,12 +98,11 @@ class SteppedBlock(ABC):
 
         It has its own sample time; InputError for another one.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(self.sample_time_s, sample_time_s, self.called)
-        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
         wires = {"hysteresis_um": self.n_inputs}, {"position_um": self.n_outputs}
-        return BlockSystem(block, *wires, sample_time_s, name)
+        return BlockSystem(self.rest(), self.step, lambda data: data["x"], *wires, sample_time_s, name)
 
 
 def entries_of(matrix: Array) -> tuple[Indices, Indices, Array]:

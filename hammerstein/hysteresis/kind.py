@@ -263,13 +263,12 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
         Raises InputError for a sample time that is not above zero.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(None, sample_time_s, "hysteresis")
         here = self.on_grid(sample_time_s)
-        block = Stepwise(here.rest(), here.step, lambda state: state.as_dict(), here.restore)
         wires = {"drive_v": self.n_inputs}, {"hysteresis_um": self.n_outputs}
-        return BlockSystem(block, *wires, sample_time_s, name)
+        return BlockSystem(here.rest(), here.step, here.restore, *wires, sample_time_s, name)
 
 
 class OfPairs(Hysteresis[S]):

@@ -423,7 +423,7 @@ class Plant:
 
         Raises InputError for a wire that does not leave the plant.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         m, p = self.model.hysteresis.n_inputs, self.model.hysteresis.n_outputs
         counts = {"drive_v": m, "hysteresis_um": p, "position_um": p, "reading_um": p}
@@ -436,6 +436,6 @@ class Plant:
             response, after = self.carry_on(requested_v[:, None], state)
             return np.concatenate([getattr(response, wire)[:, 0] for wire in outputs]), after
 
-        block = Stepwise(self.rest(np.atleast_1d(seed).tolist()), step, PlantState.as_dict, self.restore)
+        rest, asked = self.rest(np.atleast_1d(seed).tolist()), {"requested_v": m}
         wires: dict[str, int] = {wire: counts[wire] for wire in outputs}
-        return BlockSystem(block, {"requested_v": m}, wires, self.sample_time_s, name)
+        return BlockSystem(rest, step, self.restore, asked, wires, self.sample_time_s, name)

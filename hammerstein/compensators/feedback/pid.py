@@ -249,12 +249,12 @@ class FeedbackStream:
 
     def to_iosys(self, sample_time_s: float, name: str) -> BlockSystem:
         """Give the block as a discrete ``control.NonlinearIOSystem``; see ``FeedbackController.to_iosys``."""
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(self.law.sample_time_s, sample_time_s, "controller")
-        block = Stepwise(self.rest(), self.step, StreamState.as_dict, self.rest().restored)
-        wires = dict.fromkeys(("reference_um", "reading_um"), self.law.n_outputs)
-        return BlockSystem(block, wires, {"requested_v": self.law.n_inputs}, sample_time_s, name)
+        read, sent = dict.fromkeys(("reference_um", "reading_um"), self.law.n_outputs), self.law.n_inputs
+        rest = self.rest()
+        return BlockSystem(rest, self.step, rest.restored, read, {"requested_v": sent}, sample_time_s, name)
 
 
 def closed_loop(law: Controller[Any], plant: Plant, reference_um: ArrayLike, seed: list[int]) -> Response:
