@@ -312,10 +312,8 @@ def require_grid(designed_s: float | None, sample_time_s: float, what: str) -> N
     if designed_s is not None and not math.isclose(designed_s, sample_time_s, rel_tol=1e-9):
         raise InputError(
             "sample_time_s",
-            (
-                f"is {sample_time_s:g}, but the {what} was designed for {designed_s:g}; use this sample "
-                "time, or design it again"
-            ),
+            f"is {sample_time_s:g}, but the {what} was designed for {designed_s:g}; use this sample "
+            "time, or design it again",
         )
 
 
