@@ -92,9 +92,7 @@ class BoucWenPair:
         dz/du reaches from 0 to 1 while z grows, and to 1 + (beta - gamma) |z| while it falls, which is
         2 beta / (beta + gamma) at most.
         """
-        steepest = 1.0
-        if self.load_per_v > 0.0:
-            steepest = max(steepest, 2.0 * self.beta_per_v / self.load_per_v)
+        steepest = max(1.0, 2.0 * self.beta_per_v / self.load_per_v) if self.load_per_v > 0.0 else 1.0
         return self.direct_um_per_v, self.direct_um_per_v - self.hysteretic_um_per_v * steepest
 
     def amplitude(self, amplitude_v: float) -> float:

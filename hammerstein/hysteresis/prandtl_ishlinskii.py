@@ -236,7 +236,6 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         values, held = [], []
         for pair, u, path in zip(self.pairs[output], u_v, before_v, strict=True):
             stood = last = played(path, pair.thresholds_v)
-            outputs = np.empty((len(stood), len(u)))
             for _ in range(passes):
                 outputs = play(u, pair.thresholds_v, last)
                 last = outputs[:, -1]

@@ -272,9 +272,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
         near the end of its range, its first rise passes relays that switch off below the range.
         """
         driven.refuse_still()
-        tried: tuple[int, ...] = CELLS
-        if driven.given:
-            tried = (min(max(len(r) for r in driven.thresholds_v), MOST_CELLS),)
+        tried = (min(max(len(r) for r in driven.thresholds_v), MOST_CELLS),) if driven.given else CELLS
         m, rest = len(driven.low_v), driven.working_point_v
         few = [n for n in tried if m * n * (n + 1) // 2 <= MOST_COLUMNS]
         reach = np.maximum(driven.high_v - rest, rest - driven.low_v)
