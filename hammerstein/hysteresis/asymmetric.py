@@ -309,9 +309,8 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 
     def _apart(self, numbers: Sequence[ArrayLike]) -> Iterator[list[tuple[Pair, DeadZones, Array, Array]]]:
         """Plays and dead-zones of each pair of each output, with those of its numbers that belong to them."""
-        ends = (np.cumsum(row)[:-1] for row in self.operators)
-        for pairs, bends, end, own in zip(self.plays.pairs, self.zones, ends, numbers, strict=True):
-            each = zip(pairs, bends, np.split(np.asarray(own), end), strict=True)
+        for row in zip(self.plays.pairs, self.zones, self._by_pair(numbers), strict=True):
+            each = zip(*row, strict=True)
             yield [(p, z, x[: len(p.thresholds_v)], x[len(p.thresholds_v) :]) for p, z, x in each]
 
     def _with(self, plays: PrandtlIshlinskii, zones: Sequence[Sequence[DeadZones]]) -> Asymmetric:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import (
     TYPE_CHECKING,
@@ -19,7 +19,7 @@ from typing import (
 )
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, frozen, rows_of
@@ -224,6 +224,11 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     @abstractmethod
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
         """Return the same operators with other weights, without standard errors."""
+
+    def _by_pair(self, numbers: Sequence[ArrayLike]) -> Iterator[list[NDArray[Any]]]:
+        """Numbers of the weights of each output, taken apart for its pairs."""
+        for own, counts in zip(numbers, self.operators, strict=True):
+            yield np.split(np.asarray(own), np.cumsum(counts)[:-1])
 
     @property
     @abstractmethod

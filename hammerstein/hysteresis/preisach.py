@@ -255,8 +255,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
         """Return the same planes with other weights."""
         rows = []
-        for row, own, counts in zip(self.cells_um_per_v, weights, self.operators, strict=True):
-            parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
+        for row, parts in zip(self.cells_um_per_v, self._by_pair(weights), strict=True):
             triangles = []
             for cells, part in zip(row, parts, strict=True):
                 triangles.append(np.zeros(cells.shape))
