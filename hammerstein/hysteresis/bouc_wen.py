@@ -231,14 +231,11 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> BoucWen:
         """Return the same beta and gamma with other d and a."""
-        rows = [
-            [
-                replace(pair, direct_um_per_v=d, hysteretic_um_per_v=a)
-                for pair, (d, a) in zip(row, np.reshape(own, (-1, 2)).tolist(), strict=True)
-            ]
-            for row, own in zip(self.pairs, weights, strict=True)
-        ]
-        return BoucWen(tuple(map(tuple, rows)))
+        rows = []
+        for row, own in zip(self.pairs, self._by_pair(weights), strict=True):
+            each = zip(row, np.array(own, dtype=np.float64).tolist(), strict=True)
+            rows.append(tuple(replace(p, direct_um_per_v=d, hysteretic_um_per_v=a) for p, (d, a) in each))
+        return BoucWen(tuple(rows))
 
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[BoucWen]:
