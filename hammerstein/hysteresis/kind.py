@@ -5,26 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    ClassVar,
-    Generic,
-    Protocol,
-    Self,
-    TypeVar,
-    cast,
-    runtime_checkable,
-)
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, frozen, rows_of
-from hammerstein.blocks import Memory
-from hammerstein.blocks.law import require_grid
+from hammerstein.blocks.law import S, require_grid
 from hammerstein.errors import InputError, Mistake, SimulationError
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.plugins import Family
@@ -49,9 +37,6 @@ class Normals(Protocol):
 
     def standard_normal(self, size: Any = None) -> Any:
         """One number, or an array."""
-
-
-S = TypeVar("S", bound=Memory)
 
 
 class Hysteresis(ByValue, ABC, Generic[S]):
