@@ -91,14 +91,6 @@ def digest_of_file(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def is_there(path: Path) -> bool:
-    """Whether something of this name exists, as far as anybody may know: no name is too long to ask for."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False
-
-
 def write_atomic(path: Path, content: str | bytes, private: bool = False) -> None:
     """Write under a temporary name and move into place.
 

@@ -1,9 +1,8 @@
 """As python-control has them: any block that moves sample by sample, and signals over time."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import control
 import numpy as np
@@ -95,25 +94,8 @@ def _filled(like: Any, pieces: Iterator[Array]) -> Any:
     return np.rint(shaped).astype(np.int64) if np.issubdtype(array.dtype, np.integer) else shaped
 
 
-S = TypeVar("S")
-
 REMEMBERED = 4
 """Steps kept: python-control asks for each sample's output several times, then for the state after it."""
-
-
-@dataclass(frozen=True)
-class Stepwise(Generic[S]):
-    """What a block must offer.
-
-    rest : state of a block that was never driven
-    step : from an input (m,) and the state before the sample to the output (p,) and the state after it
-    save : plain data of a state; restore : the state of such data
-    """
-
-    rest: S
-    step: Callable[[Array, S], tuple[Array, S]]
-    save: Callable[[S], dict[str, Any]]
-    restore: Callable[[dict[str, Any]], S]
 
 
 class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control has no types
@@ -127,7 +109,9 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
 
     Parameters
     ----------
-    block : the block
+    rest : state of a block that was never driven, which has an ``as_dict`` or is an array
+    step : from an input (m,) and the state before the sample to the output (p,) and the state after it
+    restore : the state of plain data; that of an array is ``x``
     inputs, outputs : wires, and how many signals each has
     sample_time_s : time between samples [s]
     name : name of the system
@@ -135,17 +119,19 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
 
     def __init__(
         self,
-        block: Stepwise[Any],
+        rest: Any,
+        step: Callable[[Array, Any], tuple[Array, Any]],
+        restore: Callable[[dict[str, Any]], Any],
         inputs: Mapping[str, int],
         outputs: Mapping[str, int],
         sample_time_s: float,
         name: str,
     ):
-        self._block, self._packing = block, Packing(block.save(block.rest))
+        self._restore, self._packing = restore, Packing(_saved(rest))
 
         @lru_cache(maxsize=REMEMBERED)
         def stepped(state: bytes, values: bytes) -> tuple[Array, Array]:
-            output, after = block.step(np.frombuffer(values), self.state_of(np.frombuffer(state)))
+            output, after = step(np.frombuffer(values), self.state_of(np.frombuffer(state)))
             return output, self.state_vector(after)
 
         def both(x: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
@@ -163,11 +149,16 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
 
     def state_vector(self, state: Any) -> Array:
         """Vector for ``initial_state`` of a state of the block."""
-        return self._packing.pack(self._block.save(state))
+        return self._packing.pack(_saved(state))
 
     def state_of(self, vector: ArrayLike) -> Any:
         """State of the block that a vector stands for."""
-        return self._block.restore(self._packing.unpack(np.asarray(vector, dtype=np.float64)))
+        return self._restore(self._packing.unpack(np.asarray(vector, dtype=np.float64)))
+
+
+def _saved(state: Any) -> dict[str, Any]:
+    """Plain data of a state."""
+    return {"x": state} if isinstance(state, np.ndarray) else state.as_dict()
 
 
 def signals(wire: str, count: int) -> list[str]:

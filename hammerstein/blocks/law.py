@@ -229,12 +229,11 @@ class Law(WithMemory[S]):
 
         Raises InputError for another sample time than the law was designed for.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(self.sample_time_s, sample_time_s, "compensator")
-        block = Stepwise(self.rest(), self.step, lambda state: state.as_dict(), self.restore)
         wires = {"reference_um": self.n_outputs}, {"requested_v": self.n_inputs}
-        return BlockSystem(block, *wires, sample_time_s, name)
+        return BlockSystem(self.rest(), self.step, self.restore, *wires, sample_time_s, name)
 
 
 class Controller(WithMemory[S]):
@@ -313,10 +312,8 @@ def require_grid(designed_s: float | None, sample_time_s: float, what: str) -> N
     if designed_s is not None and not math.isclose(designed_s, sample_time_s, rel_tol=1e-9):
         raise InputError(
             "sample_time_s",
-            (
-                f"is {sample_time_s:g}, but the {what} was designed for {designed_s:g}; use this sample "
-                "time, or design it again"
-            ),
+            f"is {sample_time_s:g}, but the {what} was designed for {designed_s:g}; use this sample "
+            "time, or design it again",
         )
 
 

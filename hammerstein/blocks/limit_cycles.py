@@ -25,10 +25,8 @@ def matrices_of(system: Any) -> Matrices:
     if isinstance(system, control.FrequencyResponseData):
         raise InputError(
             "linear system",
-            (
-                "is a frequency response, which has no state; first fit a transfer function or a state "
-                "space to it"
-            ),
+            "is a frequency response, which has no state; first fit a transfer function or a state "
+            "space to it",
         )
     if not isinstance(system, control.StateSpace | control.TransferFunction):
         kind = type(system).__name__

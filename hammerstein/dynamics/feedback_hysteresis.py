@@ -254,10 +254,7 @@ class ElectromechanicalDynamics(Strict):
         n, modes = len(self.axes), [mode for axis in self.axes for mode in axis.modes]
         of_axis = np.repeat(np.eye(n), [len(axis.modes) for axis in self.axes], axis=1)
         alone, pushed, seen = (block_diag(*each) for each in zip(*(m.matrices() for m in modes), strict=True))
-        t, c = (
-            np.array([getattr(axis, key) for axis in self.axes])
-            for key in ("force_n_per_v", "capacitance_uf")
-        )
+        t, c = np.array([[axis.force_n_per_v, axis.capacitance_uf] for axis in self.axes]).T
         force, stack = pushed @ of_axis.T, np.kron(of_axis, [[1.0, 0.0]]) * t[:, None]
         charged = force * (t / c)  # T q / C is the part of T V_z that the charge makes
         none, charges = Pair(np.zeros(1), np.zeros(1)), [axis.charge() for axis in self.axes]

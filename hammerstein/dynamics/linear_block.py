@@ -98,12 +98,11 @@ class SteppedBlock(ABC):
 
         It has its own sample time; InputError for another one.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(self.sample_time_s, sample_time_s, self.called)
-        block = Stepwise(self.rest(), self.step, lambda x: {"x": x}, lambda data: np.asarray(data["x"]))
         wires = {"hysteresis_um": self.n_inputs}, {"position_um": self.n_outputs}
-        return BlockSystem(block, *wires, sample_time_s, name)
+        return BlockSystem(self.rest(), self.step, lambda data: data["x"], *wires, sample_time_s, name)
 
 
 def entries_of(matrix: Array) -> tuple[Indices, Indices, Array]:
@@ -166,7 +165,7 @@ class LinearBlock(SteppedBlock, ByValue):
         return LinearBlock(step[:n, :n], step[:n, n:], self.C, self.D, sample_time_s)
 
     def behind(self, first: LinearBlock) -> LinearBlock:
-        """Return the series connection in continuous time, this block last; states of the other one first."""
+        """Return the series connection, this block last; states of the other one first."""
         a = np.block([[first.A, np.zeros((len(first.A), len(self.A)))], [self.B @ first.C, self.A]])
         b, c = np.vstack([first.B, self.B @ first.D]), np.hstack([self.D @ first.C, self.C])
         return LinearBlock(a, b, c, self.D @ first.D, self.sample_time_s)
@@ -220,17 +219,15 @@ class LinearBlock(SteppedBlock, ByValue):
 
     def observed_by(self, sensor: LinearBlock) -> LinearBlock:
         """Series with a sensor; the outputs are first this block's own, then the sensor's."""
-        n, s = self.A.shape[0], sensor.A.shape[0]
-        a = np.block([[self.A, np.zeros((n, s))], [sensor.B @ self.C, sensor.A]])
-        b = np.vstack([self.B, sensor.B @ self.D])
-        c = np.block([[self.C, np.zeros((self.n_outputs, s))], [sensor.D @ self.C, sensor.C]])
-        return LinearBlock(a, b, c, np.vstack([self.D, sensor.D @ self.D]), self.sample_time_s)
+        both = sensor.behind(self)
+        c = np.vstack([np.pad(self.C, ((0, 0), (0, len(sensor.A)))), both.C])
+        return LinearBlock(both.A, both.B, c, np.vstack([self.D, both.D]), self.sample_time_s)
 
     def delayed(self, samples: int) -> LinearBlock:
         """Delay the input by whole samples (a shift register in front)."""
         if samples == 0:
             return self
-        m, n = self.n_inputs, self.A.shape[0]
+        m = self.n_inputs
         if m * samples > MOST_DELAY_STATES:
             raise InputError(
                 "dynamics",
@@ -238,10 +235,6 @@ class LinearBlock(SteppedBlock, ByValue):
                 f"{interval(self.sample_time_s)}, but at most {MOST_DELAY_STATES // m} are possible: use a "
                 "shorter input_delay_s or a longer sample time",
             )
-        shift = np.eye(m * samples, k=-m)
-        last = np.zeros((m, m * samples))
-        last[:, -m:] = np.eye(m)
-        a = np.block([[shift, np.zeros((m * samples, n))], [self.B @ last, self.A]])
-        b = np.vstack([np.eye(m * samples, m), np.zeros((n, m))])
-        c = np.hstack([self.D @ last, self.C])
-        return LinearBlock(a, b, c, np.zeros((self.n_outputs, m)), self.sample_time_s)
+        shift, last = np.eye(m * samples, k=-m), np.eye(m, m * samples, k=m * (samples - 1))
+        register = LinearBlock(shift, np.eye(m * samples, m), last, np.zeros((m, m)), self.sample_time_s)
+        return self.behind(register)

@@ -273,14 +273,7 @@ class StateSpaceDynamics(MatrixForm, InMatrices):
 
 Linear = AxesDynamics | StaticDynamics | StateSpaceDynamics
 WithLoop = FeedbackHysteresisDynamics | ElectromechanicalDynamics
-Dynamics = Annotated[
-    AxesDynamics
-    | StaticDynamics
-    | StateSpaceDynamics
-    | FeedbackHysteresisDynamics
-    | ElectromechanicalDynamics,
-    Field(discriminator="kind"),
-]
+Dynamics = Annotated[Linear | WithLoop, Field(discriminator="kind")]
 
 
 def cantilever(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal, NamedTuple
@@ -301,17 +301,17 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Asymmetric:
         """Return the same thresholds and breakpoints with other weights."""
-        rows, zones = [], []
-        for pairs, bends, own in zip(self.plays.pairs, self.zones, weights, strict=True):
-            counts = [
-                n
-                for pair, bend in zip(pairs, bends, strict=True)
-                for n in (len(pair.thresholds_v), len(bend.breakpoints_v))
-            ]
-            parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
-            rows.append([Pair(pair.thresholds_v, w) for pair, w in zip(pairs, parts[::2], strict=True)])
-            zones.append([DeadZones(b.breakpoints_v, w) for b, w in zip(bends, parts[1::2], strict=True)])
-        return self._with(PrandtlIshlinskii(tuple(tuple(row) for row in rows)), zones)
+        pairs, zones = [], []
+        for row in self._apart(weights):
+            pairs.append(tuple(Pair(p.thresholds_v, w) for p, _, w, _ in row))
+            zones.append(tuple(DeadZones(z.breakpoints_v, w) for _, z, _, w in row))
+        return self._with(PrandtlIshlinskii(tuple(pairs)), zones)
+
+    def _apart(self, numbers: Sequence[ArrayLike]) -> Iterator[list[tuple[Pair, DeadZones, Array, Array]]]:
+        """Plays and dead-zones of each pair of each output, with those of its numbers that belong to them."""
+        for row in zip(self.plays.pairs, self.zones, self._by_pair(numbers), strict=True):
+            each = zip(*row, strict=True)
+            yield [(p, z, x[: len(p.thresholds_v)], x[len(p.thresholds_v) :]) for p, z, x in each]
 
     def _with(self, plays: PrandtlIshlinskii, zones: Sequence[Sequence[DeadZones]]) -> Asymmetric:
         """The same with other parts, of whose weights no covariance is known."""
@@ -429,13 +429,9 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
     def with_columns(self, kept: Flags) -> Asymmetric:
         """Return the block with some of its plays and dead-zones, the same of every output."""
         pairs, zones = [], []
-        for row, bends in zip(self.plays.pairs, self.zones, strict=True):
-            sizes = [n for p, z in zip(row, bends, strict=True) for n in (len(p.thresholds_v), len(z.slopes))]
-            masks = np.split(kept, np.cumsum(sizes)[:-1])
-            own = zip(row, masks[::2], strict=True)
-            pairs.append(tuple(Pair(p.thresholds_v[m], p.weights_um_per_v[m]) for p, m in own))
-            behind = zip(bends, masks[1::2], strict=True)
-            zones.append(tuple(DeadZones(z.breakpoints_v[m], z.weights_um_per_v[m]) for z, m in behind))
+        for row in self._apart([kept] * self.n_outputs):
+            pairs.append(tuple(Pair(p.thresholds_v[m], p.weights_um_per_v[m]) for p, _, m, _ in row))
+            zones.append(tuple(DeadZones(z.breakpoints_v[m], z.weights_um_per_v[m]) for _, z, _, m in row))
         return self._with(PrandtlIshlinskii(tuple(pairs)), zones)
 
     @property
@@ -457,13 +453,10 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
             for _ in range(passes):
                 outputs = play(u_v[k], r, last)
                 last = outputs[:, -1]
-            zero = np.maximum(rest[k] - bends.breakpoints_v, 0.0)
-            beyond = [
-                np.maximum(rest[k] + x[None] - bends.breakpoints_v[:, None], 0.0)
-                for x in (outputs[0], stood[:1])
-            ]
-            values += [outputs[1:], beyond[0] - zero[:, None]]
-            held += [stood[1:], beyond[1][:, 0] - zero]
+            points = bends.breakpoints_v[:, None]
+            zero = np.maximum(rest[k] - points, 0.0)
+            values += [outputs[1:], np.maximum(rest[k] + outputs[0] - points, 0.0) - zero]
+            held += [stood[1:], (np.maximum(rest[k] + stood[0] - points, 0.0) - zero)[:, 0]]
         return np.vstack(values), np.concatenate(held)
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:

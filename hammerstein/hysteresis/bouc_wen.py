@@ -92,9 +92,7 @@ class BoucWenPair:
         dz/du reaches from 0 to 1 while z grows, and to 1 + (beta - gamma) |z| while it falls, which is
         2 beta / (beta + gamma) at most.
         """
-        steepest = 1.0
-        if self.load_per_v > 0.0:
-            steepest = max(steepest, 2.0 * self.beta_per_v / self.load_per_v)
+        steepest = max(1.0, 2.0 * self.beta_per_v / self.load_per_v) if self.load_per_v > 0.0 else 1.0
         return self.direct_um_per_v, self.direct_um_per_v - self.hysteretic_um_per_v * steepest
 
     def amplitude(self, amplitude_v: float) -> float:
@@ -190,26 +188,16 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
 
     def describe(self) -> str:
         """Short description."""
-        rates = [pair.load_per_v for row in self.pairs for pair in row if pair.hysteretic_um_per_v]
-        knees = (
-            " to ".join(dict.fromkeys(f"{1.0 / c:.3g}" for c in (max(rates), min(rates)) if c))
-            if rates
-            else ""
-        )
+        rates = sorted(pair.load_per_v for row in self.pairs for pair in row if pair.hysteretic_um_per_v)
+        knees = " to ".join(dict.fromkeys(f"{1.0 / c:.3g}" for c in (*rates[-1:], *rates[:1]) if c))
         way = f", relaxing within {knees} V" if knees else ""
         return f"Bouc-Wen of {self.ports}{way}"
 
     @cached_property
     def bank(self) -> Array:
         """Numbers of all pairs (4, p, m): d, a, and how fast z relaxes while it grows and while it falls."""
-        numbers = [
-            [
-                (pair.direct_um_per_v, pair.hysteretic_um_per_v, pair.load_per_v, pair.unload_per_v)
-                for pair in row
-            ]
-            for row in self.pairs
-        ]
-        return frozen(np.ascontiguousarray(np.moveaxis(np.array(numbers, dtype=np.float64), 2, 0)))
+        names = ("direct_um_per_v", "hysteretic_um_per_v", "load_per_v", "unload_per_v")
+        return frozen([[[getattr(pair, name) for pair in row] for row in self.pairs] for name in names])
 
     def rest(self) -> BoucWenState:
         """Memory of an actuator that was never driven."""
@@ -243,14 +231,11 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> BoucWen:
         """Return the same beta and gamma with other d and a."""
-        rows = [
-            [
-                replace(pair, direct_um_per_v=d, hysteretic_um_per_v=a)
-                for pair, (d, a) in zip(row, np.reshape(own, (-1, 2)).tolist(), strict=True)
-            ]
-            for row, own in zip(self.pairs, weights, strict=True)
-        ]
-        return BoucWen(tuple(map(tuple, rows)))
+        rows = []
+        for row, own in zip(self.pairs, self._by_pair(weights), strict=True):
+            each = zip(row, np.array(own, dtype=np.float64).tolist(), strict=True)
+            rows.append(tuple(replace(p, direct_um_per_v=d, hysteretic_um_per_v=a) for p, (d, a) in each))
+        return BoucWen(tuple(rows))
 
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[BoucWen]:

@@ -318,19 +318,14 @@ class Generalised(Hysteresis[PlayState], Identifiable, Describable):
         driven.refuse_still()
         grids = [np.append(0.0, r[r > 0.0]) for r in driven.thresholds_v]
         plays = PrandtlIshlinskii((tuple(Pair(r, np.ones(len(r))) for r in grids),) * driven.outputs)
-        knots, found = np.concatenate([[0.0], FIRST_KNOTS, [1.0]]), []
-        tangent = np.array([FIRST_SHARE, np.log(FIRST_STEEPNESS), 0.5])
-        for slopes in (*FIRST_SLOPES, None):
-            envelopes = []
-            for low, span in zip(driven.low_v, 2.0 * driven.half_swing_v, strict=True):
-                if slopes is None:
-                    begin = Envelope(low + span * knots[[0, -1]], low + span * knots[[0, -1]], 1.0, 1.0)
-                    envelopes.append(begin.with_free(tangent))
-                else:
-                    begin = Envelope(low + span * knots, low + span * knots)
-                    bends = np.log(np.array(slopes[1:]) / slopes[0])
-                    envelopes.append(begin.with_free(np.concatenate([FIRST_KNOTS, bends])))
-            found.append(cls(tuple(envelopes), plays, driven.working_point_v))
+        bends = [np.log(np.array(slopes[1:]) / slopes[0]) for slopes in FIRST_SLOPES]
+        lines = [(FIRST_KNOTS, (), np.concatenate([FIRST_KNOTS, bend])) for bend in bends]
+        tangent, found = np.array([FIRST_SHARE, np.log(FIRST_STEEPNESS), 0.5]), []
+        for inner, bend, free in (*lines, ((), (1.0, 1.0), tangent)):
+            places = np.array([0.0, *inner, 1.0])
+            ends = zip(driven.low_v, 2.0 * driven.half_swing_v, strict=True)
+            begun = [Envelope(low + span * places, low + span * places, *bend) for low, span in ends]
+            found.append(cls(tuple(one.with_free(free) for one in begun), plays, driven.working_point_v))
         return found
 
     @cached_property

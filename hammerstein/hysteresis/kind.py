@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    ClassVar,
-    Generic,
-    Protocol,
-    Self,
-    TypeVar,
-    cast,
-    runtime_checkable,
-)
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from hammerstein.arrays import Array, ByValue, frozen, rows_of
-from hammerstein.blocks import Memory
-from hammerstein.blocks.law import require_grid
+from hammerstein.blocks.law import S, require_grid
 from hammerstein.errors import InputError, Mistake, SimulationError
 from hammerstein.hysteresis.pair import Pair, WeightCovariance
 from hammerstein.plugins import Family
@@ -49,9 +37,6 @@ class Normals(Protocol):
 
     def standard_normal(self, size: Any = None) -> Any:
         """One number, or an array."""
-
-
-S = TypeVar("S", bound=Memory)
 
 
 class Hysteresis(ByValue, ABC, Generic[S]):
@@ -225,6 +210,11 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
         """Return the same operators with other weights, without standard errors."""
 
+    def _by_pair(self, numbers: Sequence[ArrayLike]) -> Iterator[list[NDArray[Any]]]:
+        """Numbers of the weights of each output, taken apart for its pairs."""
+        for own, counts in zip(numbers, self.operators, strict=True):
+            yield np.split(np.asarray(own), np.cumsum(counts)[:-1])
+
     @property
     @abstractmethod
     def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
@@ -263,13 +253,12 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
         Raises InputError for a sample time that is not above zero.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(None, sample_time_s, "hysteresis")
         here = self.on_grid(sample_time_s)
-        block = Stepwise(here.rest(), here.step, lambda state: state.as_dict(), here.restore)
         wires = {"drive_v": self.n_inputs}, {"hysteresis_um": self.n_outputs}
-        return BlockSystem(block, *wires, sample_time_s, name)
+        return BlockSystem(here.rest(), here.step, here.restore, *wires, sample_time_s, name)
 
 
 class OfPairs(Hysteresis[S]):

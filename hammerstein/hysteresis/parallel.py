@@ -120,12 +120,10 @@ class Parallel(Hysteresis[ParallelState]):
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> Parallel:
         """Return the same operators with other weights."""
-        parts, first = [], [0] * self.n_outputs
-        for part in self.parts:
-            sizes = [len(own) for own in part.weights]
-            rows = [np.asarray(w)[a : a + n] for w, a, n in zip(weights, first, sizes, strict=True)]
-            parts.append(part.with_weights(rows))
-            first = [a + n for a, n in zip(first, sizes, strict=True)]
+        sizes = zip(*([len(own) for own in part.weights] for part in self.parts), strict=True)
+        each = zip(weights, sizes, strict=True)
+        rows = zip(*(np.split(np.asarray(w), np.cumsum(n)[:-1]) for w, n in each), strict=True)
+        parts = (part.with_weights(own) for part, own in zip(self.parts, rows, strict=True))
         return replace(self, parts=tuple(parts))
 
     def file(self) -> ParallelFile:

@@ -236,7 +236,6 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         values, held = [], []
         for pair, u, path in zip(self.pairs[output], u_v, before_v, strict=True):
             stood = last = played(path, pair.thresholds_v)
-            outputs = np.empty((len(stood), len(u)))
             for _ in range(passes):
                 outputs = play(u, pair.thresholds_v, last)
                 last = outputs[:, -1]
@@ -268,9 +267,8 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
     def with_weights(self, weights: Sequence[ArrayLike]) -> PrandtlIshlinskii:
         """Return the same thresholds with other weights."""
         rows = []
-        for row, own, counts in zip(self.pairs, weights, self.operators, strict=True):
-            parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
-            rows.append(tuple(Pair(pair.thresholds_v, part) for pair, part in zip(row, parts, strict=True)))
+        for row, own in zip(self.pairs, self._by_pair(weights), strict=True):
+            rows.append(tuple(Pair(pair.thresholds_v, w) for pair, w in zip(row, own, strict=True)))
         return PrandtlIshlinskii(tuple(rows))
 
     @property

@@ -255,8 +255,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
     def with_weights(self, weights: Sequence[ArrayLike]) -> Self:
         """Return the same planes with other weights."""
         rows = []
-        for row, own, counts in zip(self.cells_um_per_v, weights, self.operators, strict=True):
-            parts = np.split(np.asarray(own, dtype=np.float64), np.cumsum(counts)[:-1])
+        for row, parts in zip(self.cells_um_per_v, self._by_pair(weights), strict=True):
             triangles = []
             for cells, part in zip(row, parts, strict=True):
                 triangles.append(np.zeros(cells.shape))
@@ -272,9 +271,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
         near the end of its range, its first rise passes relays that switch off below the range.
         """
         driven.refuse_still()
-        tried: tuple[int, ...] = CELLS
-        if driven.given:
-            tried = (min(max(len(r) for r in driven.thresholds_v), MOST_CELLS),)
+        tried = (min(max(len(r) for r in driven.thresholds_v), MOST_CELLS),) if driven.given else CELLS
         m, rest = len(driven.low_v), driven.working_point_v
         few = [n for n in tried if m * n * (n + 1) // 2 <= MOST_COLUMNS]
         reach = np.maximum(driven.high_v - rest, rest - driven.low_v)

@@ -254,8 +254,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
 
     def with_weights(self, weights: Sequence[ArrayLike]) -> RateDependent:
         """Return the same plays with other weights."""
-        ends = np.cumsum([len(plays.thresholds_v) for plays in self.inputs])[:-1]
-        rows = tuple(tuple(np.split(np.asarray(own, dtype=np.float64), ends)) for own in weights)
+        rows = tuple(map(tuple, self._by_pair(weights)))
         return replace(self, weights_um_per_v=rows, weight_covariance=None)
 
     @classmethod

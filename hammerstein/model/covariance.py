@@ -148,10 +148,8 @@ class ParameterCovarianceFile(PartFile):
     def value(self) -> ParameterCovariance:
         """Return the covariance this describes."""
         n = len(self.factor)
-        following = []
-        for matrix in self.following:
-            if any(len(row) != n for row in matrix):
-                raise InputError("covariance", f"must have rows of {n} numbers for each output")
-            following.append(np.array(matrix, dtype=float).reshape(len(matrix), n))
+        if any(len(row) != n for matrix in self.following for row in matrix):
+            raise InputError("covariance", f"must have rows of {n} numbers for each output")
+        following = tuple(np.array(matrix, dtype=float).reshape(len(matrix), n) for matrix in self.following)
         factor = lower_triangle("covariance", self.factor)
-        return ParameterCovariance(factor, tuple(following), self.fitted, self.open, self.degrees)
+        return ParameterCovariance(factor, following, self.fitted, self.open, self.degrees)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,7 @@ from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.dynamics import Dynamics, StaticDynamics, WithLoop
 from hammerstein.dynamics.feedback_hysteresis import MatrixForm
 from hammerstein.errors import InputError, Mistake, naming, refuse
-from hammerstein.files import digest_of, is_there, read_limited, write_atomic
+from hammerstein.files import digest_of, read_limited, write_atomic
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Normals
 from hammerstein.model.covariance import ParameterCovariance, ParameterCovarianceFile, drawn_blocks
 from hammerstein.notebook_repr import NotebookRepr
@@ -219,8 +220,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         """
         from hammerstein.compensators.drive_file import Terms, compensation_of
 
-        flat = [None if given is None else np.ravel(given).tolist() for given in (range_v, start_v)]
-        low_high, start = (None if given is None else tuple(given) for given in flat)
+        low_high, start = (None if v is None else tuple(np.ravel(v).tolist()) for v in (range_v, start_v))
         terms = Terms(low_high, start, conditioned, clip, beyond_records, accept_flagged)
         return compensation_of(self, reference_um, law, options, terms)
 
@@ -430,7 +430,7 @@ def place_of(name: str) -> Path:
     names = packaged_actuators()
     if name in names:
         return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))
-    if Path(name).suffix or is_there(Path(name)):
+    if Path(name).suffix or os.path.exists(Path(name)):  # no name is too long for it
         return Path(name)
     raise InputError(
         name, f"is neither a model file nor a packaged actuator ({', '.join(names)}){suggestion(name, names)}"

@@ -115,10 +115,8 @@ class Response(NotebookRepr):
         return np.asarray(np.arange(self.drive_v.shape[1]) * self.sample_time_s, dtype=np.float64)
 
     def __post_init__(self, known: bool) -> None:
-        for name in () if known else WIRES:
-            wire = getattr(self, name)
-            if wire is not None:
-                refuse_unbounded(name, wire, self.sample_time_s)
+        for name, wire in () if known else self._given().items():
+            refuse_unbounded(name, wire, self.sample_time_s)
 
     def after(self, first: int) -> Response:
         """Return the same run from one sample on."""
@@ -127,20 +125,19 @@ class Response(NotebookRepr):
 
     def wires(self) -> dict[str, NDArray[Any]]:
         """Every signal that this run has, by name, and where the range clipped the voltage."""
-        each = ((name, getattr(self, name)) for name in (*WIRES, "saturated"))
-        return {name: wire for name, wire in each if wire is not None}
+        return {**self._given(), "saturated": self.saturated}
+
+    def _given(self) -> dict[str, Array]:
+        """Every wire that this run has, by name."""
+        return {name: wire for name in WIRES if (wire := getattr(self, name)) is not None}
 
     def columns(self) -> dict[str, Array]:
         """All signals of every axis (sample,), by names such as ``drive_x_v``; without time."""
         columns: dict[str, Array] = {}
-        for name in WIRES:
-            wire: Array | None = getattr(self, name)
-            if wire is not None:
-                quantity, unit = name.rsplit("_", 1)
-                axes = (self.inputs if unit == "v" else self.outputs) or range(1, len(wire) + 1)
-                columns |= {
-                    column(quantity, str(axis), unit): row for axis, row in zip(axes, wire, strict=True)
-                }
+        for name, wire in self._given().items():
+            quantity, unit = name.rsplit("_", 1)
+            axes = (self.inputs if unit == "v" else self.outputs) or range(1, len(wire) + 1)
+            columns |= {column(quantity, str(axis), unit): row for axis, row in zip(axes, wire, strict=True)}
         return columns
 
     def to_frame(self) -> pd.DataFrame:
@@ -179,13 +176,11 @@ class Response(NotebookRepr):
         """Signals of some wires by the names that systems give them, ``drive_v[0]`` and so on."""
         from hammerstein.blocks.block_system import signals
 
-        found: dict[str, Array] = {}
+        found, given = dict[str, Array](), self._given()
         for name in wires:
-            wire = getattr(self, name, None) if name in WIRES else None
-            if wire is None:
-                known = ", ".join(w for w in WIRES if getattr(self, w) is not None)
-                raise InputError("wire", f"{name!r} is not a signal of this run; it has {known}")
-            found |= dict(zip(signals(name, len(wire)), wire, strict=True))
+            if name not in given:
+                raise InputError("wire", f"{name!r} is not a signal of this run; it has {', '.join(given)}")
+            found |= dict(zip(signals(name, len(given[name])), given[name], strict=True))
         return found
 
     def every(self, samples: int) -> Response:
@@ -423,7 +418,7 @@ class Plant:
 
         Raises InputError for a wire that does not leave the plant.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         m, p = self.model.hysteresis.n_inputs, self.model.hysteresis.n_outputs
         counts = {"drive_v": m, "hysteresis_um": p, "position_um": p, "reading_um": p}
@@ -436,6 +431,6 @@ class Plant:
             response, after = self.carry_on(requested_v[:, None], state)
             return np.concatenate([getattr(response, wire)[:, 0] for wire in outputs]), after
 
-        block = Stepwise(self.rest(np.atleast_1d(seed).tolist()), step, PlantState.as_dict, self.restore)
+        rest, asked = self.rest(np.atleast_1d(seed).tolist()), {"requested_v": m}
         wires: dict[str, int] = {wire: counts[wire] for wire in outputs}
-        return BlockSystem(block, {"requested_v": m}, wires, self.sample_time_s, name)
+        return BlockSystem(rest, step, self.restore, asked, wires, self.sample_time_s, name)

@@ -1,6 +1,5 @@
 """Arrays in NumPy, MATLAB, HDF5, Excel and TDMS files, and how one column of them is named."""
 
-import difflib
 import math
 import re
 import warnings
@@ -26,6 +25,7 @@ from hammerstein.records.file_formats import (
     stated_unit,
     tdms_channels,
 )
+from hammerstein.validation import suggestion
 
 HDF5, HEADER_BYTES = b"\x89HDF\r\n\x1a\n", 512
 """Sign of an HDF5 file, and size of MATLAB's header before it."""
@@ -118,10 +118,9 @@ def _parsed(column: str) -> tuple[str, list[int]]:
 def _loaded(variables: Variables, name: str) -> Array:
     name = _resolved(variables, name)
     if name not in variables:
-        near = difflib.get_close_matches(name, variables, n=1)
         start = f"there is no variable {name}" if name else "there are several variables, name one"
         known = f"it has {', '.join(variables)}" if any(variables) else "its one array has no name"
-        raise InputError("file", f"{start}{f'; did you mean {near[0]}?' if near else ';'} {known}")
+        raise InputError("file", f"{start}{suggestion(name, variables) or ';'} {known}")
     try:
         array = np.asarray(variables[name].load())
         refuse_large(array.shape)

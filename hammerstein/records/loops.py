@@ -441,9 +441,8 @@ def _compared(k: int, loops: Sequence[Loop], paths: Sequence[_Path], band_v: flo
     limit = SETTLED_NOISE * path.noise + SETTLED_SHARE * loop.height_um
     steps = np.abs(np.diff(path.u))[[0, path.turn - 1, path.turn, -1]]  # sampling may cut off half a step
     same_v = max(band_v, SETTLED_SHARE * loop.amplitude_v, 0.5 * float(steps.max()))
-    after = next((i for i in range(k + 1, len(loops)) if loops[i].minor == loop.minor), None)
-    before = next((i for i in range(k - 1, -1, -1) if loops[i].minor == loop.minor), None)
-    for other, sign in ((after, 1.0), (before, -1.0)):
+    for others, sign in ((range(k + 1, len(loops)), 1.0), (range(k - 1, -1, -1), -1.0)):
+        other = next((i for i in others if loops[i].minor == loop.minor), None)
         if other is None:
             continue
         ends = ((0, 0), (path.turn, paths[other].turn), (-1, -1))  # where both start, turn and stop

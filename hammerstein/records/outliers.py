@@ -374,8 +374,7 @@ def _fit(u: Array, y: Array, aside: Flags) -> Array:
     x = np.vstack([*(regressors(row, PLAYS) for row in u if np.ptp(row) > 0.0), np.ones((1, y.shape[1]))])
     stride = max(y.shape[1] // FITTED, 1)
     fit = np.empty_like(y)
-    for o, row in enumerate(y):
-        flags = aside[o] if aside.ndim == 2 else aside
+    for o, (row, flags) in enumerate(zip(y, aside, strict=True)):
         used = np.flatnonzero(~flags)[::stride]
         weights, _ = Products.of(np.vstack([x[:, used], row[used]])).fit(range(len(x)), len(x))
         fit[o] = weights @ x

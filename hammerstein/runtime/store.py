@@ -22,7 +22,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from importlib import metadata
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from numpy.typing import NDArray
 
 from hammerstein.errors import InputError, Notice
 from hammerstein.files import UNFINISHED, digest_of, reason_of, write_atomic
-from hammerstein.plugins import kinds_of_others
+from hammerstein.plugins import GROUP, kinds_of_others
 from hammerstein.runtime.faults import version_of
 from hammerstein.runtime.resources import folder_of_runs
 
@@ -112,7 +111,7 @@ def processor() -> str:
 @cache
 def _entries() -> tuple[metadata.EntryPoint, ...]:
     """What other packages plug in."""
-    found = entry_points(group="hammerstein.blocks")
+    found = metadata.entry_points(group=GROUP)
     return tuple(entry for entry in found if not entry.value.startswith("hammerstein."))
 
 
@@ -153,6 +152,7 @@ class Kept:
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
+@dataclass(eq=False)
 class Store:
     """Entries in a folder.
 
@@ -162,17 +162,15 @@ class Store:
     problem : why no more entries are written; empty if there is no problem
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        fresh: bool = False,
-        limit_bytes: float = LARGEST_MB * MEGABYTE,
-        elsewhere: str = "",
-    ) -> None:
-        self.folder, self.fresh, self.limit_bytes, self.elsewhere = folder, fresh, limit_bytes, elsewhere
-        self.problem = ""
+    folder: Path
+    fresh: bool = False
+    limit_bytes: float = LARGEST_MB * MEGABYTE
+    elsewhere: str = ""
+    problem: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
         self._written: set[str] = set()
-        self._unseen = limit_bytes  # bytes written since the folder was last measured: it never was
+        self._unseen = self.limit_bytes  # bytes written since the folder was last measured: it never was
 
     def read(self, key: str) -> Kept | None:
         """Entry of a key; None if it is missing or damaged."""

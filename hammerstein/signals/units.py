@@ -82,14 +82,14 @@ def is_unit(word: str) -> bool:
     return (found is not None and not found["name"]) or inner.lower() in NO_UNIT or bool(unit_of(inner))
 
 
-def _match(name: str) -> re.Match[str] | None:
-    """Where the unit stands in the name of a column."""
+def _match(name: str) -> tuple[re.Match[str], Unit] | None:
+    """Where the unit stands in the name of a column, and the unit; None if it has none."""
     for pattern in (IN_BRACKETS, BEHIND_SLASH, AT_END, PLAIN):
         match = pattern.match(name)
         if match and (unit := unit_of(match["unit"])):
             vague = pattern in (AT_END, PLAIN) and match["unit"].lower() in SINGLE
             if not vague or (pattern is AT_END and unit.symbol != "m"):
-                return match
+                return match, unit
     return None
 
 
@@ -103,8 +103,8 @@ def unit_in(name: str) -> Unit | None:
     >>> [unit.symbol if (unit := unit_in(n)) else None for n in ("u_mV", "X (um)", "Weg / nm", "x_m")]
     ['mV', 'um', 'nm', None]
     """
-    match = _match(name)
-    return unit_of(match["unit"]) if match else None
+    found = _match(name)
+    return found[1] if found else None
 
 
 def bracketed(unit: str) -> str:
@@ -129,10 +129,10 @@ def axis_name(column: str) -> str:
     >>> axis_name("Vx [V]"), axis_name("X (nm)"), axis_name("x"), axis_name("[mV]")
     ('Vx', 'X', 'x', 'V')
     """
-    match = _match(column)
-    unit = unit_of(match["unit"]) if match else None
-    if match is None or unit is None:
+    found = _match(column)
+    if found is None:
         return column
+    match, unit = found
     is_word = match.re is PLAIN and unit.factor == 1.0  # such as Volt
     return match["name"].strip(" _") or (column if is_word else BASE[unit.kind])
 
@@ -156,5 +156,5 @@ def without_unit(name: str) -> str:
     >>> without_unit("X (um)"), without_unit("u / V"), without_unit("u_x"), without_unit("[V]")
     ('X', 'u', 'u_x', '')
     """
-    match = _match(name)
-    return match["name"].strip(" _") if match else name
+    found = _match(name)
+    return found[0]["name"].strip(" _") if found else name

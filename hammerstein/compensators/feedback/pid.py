@@ -183,13 +183,13 @@ class FeedbackController(Controller[ControllerState]):
 
         Raises InputError for another sample time than the controller was designed for.
         """
-        from hammerstein.blocks.block_system import BlockSystem, Stepwise
+        from hammerstein.blocks.block_system import BlockSystem
 
         require_grid(self.sample_time_s, sample_time_s, "controller")
         stream = FeedbackStream(self)
-        block = Stepwise(stream.rest(), stream.step, StreamState.as_dict, stream.rest().restored)
-        wires = dict.fromkeys(("reference_um", "reading_um"), self.n_outputs)
-        return BlockSystem(block, wires, {"requested_v": self.n_inputs}, sample_time_s, name)
+        rest = stream.rest()
+        read, sent = dict.fromkeys(("reference_um", "reading_um"), self.n_outputs), self.n_inputs
+        return BlockSystem(rest, stream.step, rest.restored, read, {"requested_v": sent}, sample_time_s, name)
 
 
 @dataclass(frozen=True, eq=False)
