@@ -14,7 +14,8 @@ from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import AT_REST, Candidate, Score, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.identification.static.static_block import StaticFit, direct_pairs, half_swing
+from hammerstein.identification.task import CandidateSet, Task
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
 from hammerstein.records.record import Record, begins_at_rest, dead_start, driven_inputs
 from hammerstein.records.turning_points import noise_rms, turning_points
@@ -188,6 +189,24 @@ def _proposal(settings: Settings, inputs: int) -> str:
         lacks = f"plays {both if axes else 'do not model saturation'}"
         return f"hammerstein compare tries every kind on these records; or {fewer}: {lacks}"
     return fewer.capitalize() + ": the model has no coupled resonances" * axes
+
+
+def flags_of(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str]:
+    """What spoils the records, and what a model of this kind cannot represent."""
+    blocks, outputs = built.best.blocks, task.records[0].outputs
+    spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
+    pairs = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+    direct = [(o, k) for o, k in pairs if outputs[o] not in {name for _, name in spoiled}]
+    flags = [fault.text for fault in named if is_flag(fault, task.records)]
+    flags += record_flags(built.best.candidate, task.records, task.starts, spoiled)
+    if built.kind in ("linear", "static_hysteresis"):
+        flags += butterfly_flags(task.records, direct)
+    if not any("no rising loop" in flag for flag in flags):
+        flags += turning_back_flags(built.best.candidate, task.records, task.starts, pairs)
+    if blocks.one_sign is not None and task.settings.hysteresis == PLAYS:
+        spans = ranges(task.records, task.starts)
+        flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
+    return flags
 
 
 def record_flags(
