@@ -1,8 +1,8 @@
 """Statements about an identified model: its verdict, what the records do not identify, and its file."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -57,19 +57,22 @@ UNTOLD = (
 )
 
 
-class Errors(NamedTuple):
-    """Errors of every kind of model on the records fitted and held back, and the response to each input.
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Records with the models fitted to them: plays and linear ones, with which the fit of any kind begins.
 
-    given : the fitted records as they were given
+    given : the fitted records as they were given; held : the validation records
+    response : to each input, see ``responses``
     """
 
-    fitted: dict[Kind, Score]
-    judged: dict[Kind, Score]
+    given: tuple[Record, ...]
+    task: Task
+    built: CandidateSet
+    curve: tuple[CurvePoint, ...]
     held: tuple[Record, ...]
     held_starts: tuple[InitialState, ...]
     response: Array
     trials: tuple[Trial, ...]
-    given: tuple[Record, ...]
 
 
 def left_out(records: Sequence[Record]) -> list[str]:
@@ -82,20 +85,22 @@ def left_out(records: Sequence[Record]) -> list[str]:
 
 
 def fit_of(
-    task: Task,
-    built: CandidateSet,
-    curve: tuple[CurvePoint, ...],
-    errors: Errors,
+    prepared: Prepared,
+    fitted: dict[Kind, Score],
+    judged: dict[Kind, Score],
     voltages: Voltages,
     known: ParameterCovariance | None,
 ) -> Fit:
-    """Everything that is said about the model."""
-    fitted, judged, held, held_starts, response, trials, given = errors
+    """Everything that is said about the model.
+
+    fitted, judged : errors of every kind of model on the records fitted and held back
+    """
+    task, built, held, held_starts = prepared.task, prepared.built, prepared.held, prepared.held_starts
     record, settings, best = task.records[0], task.settings, built.best.candidate
     named = faults_left(best, task.records, task.starts)
     flags, plain = flags_of(task, built, named), PLAYS_ALONE in built.notes
     zeros_um = offsets(best, task.records, task.starts)
-    flags += state_flags(given, np.array(zeros_um), np.array(fitted[built.kind].rms_um))
+    flags += state_flags(prepared.given, np.array(zeros_um), np.array(fitted[built.kind].rms_um))
     where = (held, held_starts) if held else (task.records, task.starts)
     residual = [*residual_statements(best, *where, settings)]
     swing = half_swing(task.records)
@@ -119,10 +124,10 @@ def fit_of(
         starts=task.starts,
         held_starts=held_starts,
         axes=_sure_axes(built.best, known),
-        trials=trials,
+        trials=prepared.trials,
         order=len(best.dynamics.A) if isinstance(best.dynamics, StateSpaceDynamics) else None,
-        error_curve=curve,
-        not_identifiable=tuple(_unknown(task, built, response, known)),
+        error_curve=prepared.curve,
+        not_identifiable=tuple(_unknown(task, built, prepared.response, known)),
         flags=tuple(flags),
         notes=(
             *left_out([*task.records, *held]),

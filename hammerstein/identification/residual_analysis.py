@@ -204,8 +204,7 @@ def flags_of(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[st
     if not any("no rising loop" in flag for flag in flags):
         flags += turning_back_flags(built.best.candidate, task.records, task.starts, pairs)
     if blocks.one_sign is not None and task.settings.hysteresis == PLAYS:
-        spans = ranges(task.records, task.starts)
-        flags += shape_flags(task.records, blocks.free, blocks.one_sign, spans, direct)
+        flags += shape_flags(task, blocks.free, blocks.one_sign, direct)
     return flags
 
 
@@ -268,28 +267,24 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
 
 
 def shape_flags(
-    records: Sequence[Record],
-    free: StaticFit,
-    one_sign: StaticFit,
-    spans_um: Array,
-    direct: Sequence[tuple[int, int]],
+    task: Task, free: StaticFit, one_sign: StaticFit, direct: Sequence[tuple[int, int]]
 ) -> Iterator[str]:
     """Saturating loops: weights of one sign miss them, and the branches flatten towards the tips.
 
     Parameters
     ----------
-    records : fitted records
+    task : with the fitted records
     free, one_sign : fits with free weights, and with weights of the sign of the gain
-    spans_um : (output,) ranges of the outputs [um]
     direct : pairs (output, input) to be judged
     """
+    spans_um = ranges(task.records, task.starts)
     for o, k in direct:
         missed = 100.0 * one_sign.rms_um[o] / spans_um[o]
         needed = max(SATURATING_PERCENT, SATURATING_RATIO * 100.0 * free.rms_um[o] / spans_um[o])
         slopes = np.abs(free.hysteresis.pairs[o][k].slopes)
         if missed > needed and slopes[-1] < FLATTENED * slopes.max():
             yield (
-                f"{records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
+                f"{task.records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
                 f"falls to {100 * slopes[-1] / slopes.max():.0f} % of the steepest slope, weights of "
                 f"one sign have an error of {missed:.1f} % of the range, and minor loops will be wrong"
             )

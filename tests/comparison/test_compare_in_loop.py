@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import hammerstein
 from hammerstein.commands.cli import app
 from hammerstein.comparison import fitting
-from hammerstein.comparison.in_loop import NAME, fit_in_loop
+from hammerstein.comparison.compare import IN_LOOP as NAME, fit_in_loop
 from hammerstein.dynamics import (
     AxesDynamics,
     Axis,

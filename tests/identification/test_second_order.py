@@ -22,7 +22,7 @@ from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes, fit_ax
 from hammerstein.identification.linear.axis_search import FirstGuess, checked_delay, refine, search_axes
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.delay import _part_of_a_sample
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static

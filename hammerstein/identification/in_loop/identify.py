@@ -45,7 +45,7 @@ from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.state_space_candidates import gain_model, state_space
-from hammerstein.identification.static.static_block import half_swing
+from hammerstein.identification.static.static_block import half_swing, swing_ends
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
 from hammerstein.records.record import Record, driven_inputs
@@ -408,7 +408,7 @@ def result_of(
         operators=straight.operators,
         amplitude_v=float(swing.max()),
         amplitudes_v=tuple(swing.tolist()),
-        voltages=_voltages(records),
+        voltages=Voltages.of(one.rest_v, *swing_ends(records)),
         sample_time_s=one.sample_time_s,
         offsets_um=offsets(best, records, starts),
         starts=starts,
@@ -441,10 +441,5 @@ def model_so_far(loop: LoopParameters, records: Sequence[Record], name: str) -> 
         inputs=one.inputs,
         outputs=one.outputs,
         instruments=Instruments.ideal(one.sample_time_s),
-        voltages=_voltages(records),
+        voltages=Voltages.of(one.rest_v, *swing_ends(records)),
     )
-
-
-def _voltages(records: Sequence[Record]) -> Voltages:
-    sent = np.hstack([record.u_v + record.rest_v[:, None] for record in records])
-    return Voltages.of(records[0].rest_v, sent.min(axis=1), sent.max(axis=1))
