@@ -29,7 +29,6 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
     ENDS,
     TURN_WORTH,
-    Predict,
     decays,
     found_starts,
     judged_starts,
@@ -67,13 +66,8 @@ def _first_starts(
     mode = settings.start_mode
     if mode == "rest":
         return (InitialState("rest"),) * len(records)
-
-    models = _FirstModels(records, guess, settings)
-
-    def fit(starts: Sequence[InitialState]) -> Predict:
-        return models.fitted(starts).predict
-
-    return found_starts(records, fit, guess.dynamics().settle_s if guess else 0.0, mode)
+    models, settle_s = _FirstModels(records, guess, settings), guess.dynamics().settle_s if guess else 0.0
+    return found_starts(records, lambda starts: models.fitted(starts).predict, settle_s, mode)
 
 
 @dataclass(frozen=True, eq=False)
