@@ -1,25 +1,30 @@
-"""Every kind of hysteresis and the linear models on the same records: which one to take."""
+"""Every kind of hysteresis and the linear models on the same records: which one to take.
 
+Hysteresis in the loop is one more candidate, judged on experiments that it was not fitted to.
+"""
+
+import time
 import timeit
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import PurePath
 
 import numpy as np
 
 from hammerstein.comparison.fitting import Failed, Fitted, Progress, fit_all
-from hammerstein.comparison.in_loop import NAME as IN_LOOP, LoopFit, fit_in_loop
 from hammerstein.comparison.inverting import Inverse, inverse_of, left_by
-from hammerstein.comparison.result import Compared, Comparison
-from hammerstein.dynamics import on_grid
+from hammerstein.comparison.result import Compared, Comparison, Unseen
+from hammerstein.dynamics import discretise, on_grid
+from hammerstein.errors import HammersteinError
+from hammerstein.identification.excitation import quantile_hz
 from hammerstein.identification.identify import from_last_rest
-from hammerstein.identification.in_loop.identify import LoopSettings
-from hammerstein.identification.initialisation import start_mode
+from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+from hammerstein.identification.in_loop.selection import Selection, settled_periods
 from hammerstein.identification.model_selection import Trial, as_good, chosen, least, trial_of
+from hammerstein.identification.options import PLAYS
 from hammerstein.identification.residual_analysis import record_flags
-from hammerstein.identification.score import Score, score
+from hammerstein.identification.score import Score, SensorModel, score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.initial_state import own_starts
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
@@ -28,6 +33,7 @@ from hammerstein.runtime.resources import one_blas_thread
 
 ALIKE = 1.1
 """Ratio up to which the frequencies of two records count as one."""
+IN_LOOP = "hysteresis in the loop"
 
 
 def frequencies(records: Sequence[Record]) -> list[float]:
@@ -41,7 +47,7 @@ def frequencies(records: Sequence[Record]) -> list[float]:
     >>> frequencies([sine(5.0), sine(20.0), sine(5.02)])
     [5.0, 20.0, 5.0]
     """
-    own = [main_hz(record) for record in records]
+    own = [quantile_hz(record, 0.5) for record in records]
     groups: list[list[float]] = []
     for hz in sorted(own):
         if groups and hz <= ALIKE * groups[-1][0]:
@@ -49,24 +55,6 @@ def frequencies(records: Sequence[Record]) -> list[float]:
         else:
             groups.append([hz])
     return [next(float(f"{np.mean(group):.3g}") for group in groups if hz in group) for hz in own]
-
-
-def main_hz(record: Record) -> float:
-    """Median frequency of the power of the voltages [Hz]; for a sine, its frequency.
-
-    Examples
-    --------
-    >>> time_s = 1e-3 * np.arange(1000)
-    >>> u = (1.0 + time_s) * np.sin(2.0 * np.pi * 5.0 * time_s)
-    >>> main_hz(Record([u], [u], 1e-3))
-    5.0
-    """
-    about = record.u_v - record.u_v.mean(axis=1, keepdims=True)
-    power = np.cumsum((np.abs(np.fft.rfft(about, axis=1)) ** 2).sum(axis=0))
-    if power[-1] == 0.0:
-        return 0.0
-    lines = np.fft.rfftfreq(record.samples, record.sample_time_s)
-    return float(lines[np.searchsorted(power, 0.5 * power[-1])])
 
 
 def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[InitialState]) -> dict[float, Score]:
@@ -80,10 +68,74 @@ def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[InitialSt
     return found
 
 
-def alike(starts: Sequence[Sequence[InitialState]]) -> list[list[InitialState]]:
-    """Starts (model) (record) of several models, from the samples on that count for every one of them."""
-    first = [max(begun.first for begun in each) for each in zip(*starts, strict=True)]
-    return [[replace(start, first=k) for start, k in zip(own, first, strict=True)] for own in starts]
+@dataclass(frozen=True, eq=False)
+class LoopFit:
+    """Hysteresis in the loop, and the errors of every model on experiments that it was not fitted to.
+
+    records : fitted and validation records of its own errors: settled periods count from one voltage
+    trials : of the other models, then its own; only the others were fitted to these experiments
+    """
+
+    fitted: Fitted
+    inverse: Inverse
+    records: tuple[tuple[Record, ...], tuple[Record, ...]]
+    trials: tuple[Trial, ...]
+
+    @property
+    def trial(self) -> Trial:
+        """Its own errors."""
+        return self.trials[-1]
+
+    @property
+    def wins(self) -> bool:
+        """Whether no other model is as good or has its error with fewer parameters."""
+        return chosen(self.trials) == len(self.trials) - 1
+
+    @property
+    def good(self) -> set[str]:
+        """Names of the models whose errors there are the least, or hardly above it."""
+        return {self.trials[i].name for i in as_good(self.trials)}
+
+    def unseen(self) -> Unseen:
+        """Its error and that of the best other model."""
+        rival = self.trials[least(self.trials[:-1])]
+        return Unseen(IN_LOOP, self.trial.percent, rival.name, rival.percent, len(self.trial.squares))
+
+
+def fit_in_loop(
+    records: Sequence[Record],
+    settings: LoopSettings,
+    validation: Sequence[Record],
+    others: Sequence[tuple[Fitted, Trial]],
+    progress: Callable[[str], None],
+) -> LoopFit | Failed:
+    """Identify hysteresis in the loop, and judge all models on a third of the experiments.
+
+    They choose its structure and its number of steps, with parameters that are fitted to the other
+    experiments. The other models were fitted to all of them, so that an advantage of the loop is no part of
+    the fit.
+
+    others : the other models, and their errors where they are judged among themselves
+    """
+    begun = time.process_time()
+    try:
+        model, fit = identify_in_loop(
+            records, settings, validation=validation, name=IN_LOOP, progress=progress
+        )
+    except HammersteinError as error:
+        return Failed(IN_LOOP, PLAYS, str(error))
+    seconds = time.process_time() - begun
+    ours = Fitted(
+        IN_LOOP, PLAYS, model, fit.candidates["in_loop"], fit.starts, fit.held_starts, fit.flags, seconds
+    )
+    inverse = inverse_of(model, fit.sample_time_s)
+    block = discretise(fit.candidates["linear_dynamics"].dynamics, fit.sample_time_s)
+    parts = Selection.of(settled_periods(fit.records, block.respond))
+    ideal = [(replace(one.candidate, sensor=SensorModel()), trial) for one, trial in others]
+    trials = [parts.of_model(candidate, trial, fit.records[0]) for candidate, trial in ideal]
+    own = next(trial for trial in fit.trials if trial.kept)
+    trials.append(replace(own, name=IN_LOOP, usable=inverse.exact, kept=False))
+    return LoopFit(ours, inverse, (fit.records, fit.held), tuple(trials))
 
 
 TIMED_SAMPLES = 20_000  # long beside the clock's step
@@ -196,10 +248,12 @@ def _own(
     settings: Settings,
 ) -> list[tuple[InitialState, ...]]:
     """Start of each record that suits each model, on the samples that count for all of them."""
-    return [
-        own_starts(records, begun, one.candidate.predict, start_mode(settings), one.candidate.slow_s)
-        for begun, one in zip(alike(starts), fitted, strict=True)
-    ]
+    first = [max(begun.first for begun in each) for each in zip(*starts, strict=True)]
+    found = []
+    for own, one in zip(starts, fitted, strict=True):
+        alike = [replace(start, first=k) for start, k in zip(own, first, strict=True)]
+        found.append(one.candidate.own_starts(records, alike, settings.start_mode))
+    return found
 
 
 def _entry(

@@ -14,12 +14,12 @@ from hammerstein.dynamics import AxesDynamics
 from hammerstein.errors import HammersteinError
 from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit import Fit, Kind
-from hammerstein.identification.identify import Prepared, fit_kind, fit_plays, identify, settings_of_plays
+from hammerstein.identification.fit_report import Prepared
+from hammerstein.identification.identify import fit_kind, fit_plays, identify, settings_of_plays
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.residual_analysis import stated_errors
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.initial_state import own_starts
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
@@ -235,8 +235,7 @@ def _fitted(
     best = candidate is fit.candidates[fit.kind]
     if not best:  # counts from any working point
         judged, starts = (fit.held, fit.held_starts) if fit.held else (fit.records, fit.starts)
-        own = own_starts(judged, starts, candidate.predict, slow_s=candidate.slow_s)
-        told = stated_errors(score(candidate, judged, own), judged)
+        told = stated_errors(score(candidate, judged, candidate.own_starts(judged, starts)), judged)
         model = replace(
             model,
             hysteresis=candidate.hysteresis,

@@ -24,7 +24,7 @@ from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics.arrays import settled_cycle
 from hammerstein.model import HammersteinModel

@@ -68,8 +68,22 @@ def lowest_hz(record: Record) -> float:
     >>> round(lowest_hz(Record([u], [u], 1e-3)), 1)
     15.0
     """
+    return quantile_hz(record, LOWEST)
+
+
+def quantile_hz(record: Record, share: float) -> float:
+    """Frequency below which a share of the power of the drive lies [Hz]; 0 where nothing is driven.
+
+    Examples
+    --------
+    >>> time_s = 1e-3 * np.arange(1000)
+    >>> u = (1.0 + time_s) * np.sin(2.0 * np.pi * 5.0 * time_s)
+    >>> quantile_hz(Record([u], [u], 1e-3), 0.5)
+    5.0
+    """
     frequency_hz, power = _drive_spectrum(record.u_v, record.sample_time_s)
-    return float(frequency_hz[np.searchsorted(np.cumsum(power), LOWEST * power.sum())])
+    below = np.cumsum(power)
+    return float(frequency_hz[np.searchsorted(below, share * below[-1])])
 
 
 def drive_hz(record: Record, input_: int | None = None) -> float:

@@ -1,9 +1,8 @@
 """From records to a model and an account of how far it can be trusted."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import wraps
-from typing import ParamSpec, TypeVar
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,20 +17,17 @@ from hammerstein.identification.excitation import (
     voltages_of,
 )
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
-from hammerstein.identification.fit_report import Errors, fit_of, model_of
-from hammerstein.identification.initialisation import first_task, start_mode
+from hammerstein.identification.fit_report import Prepared, fit_of, model_of
+from hammerstein.identification.initialisation import first_task
 from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.model_selection import Trial, chosen, trial_of
-from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.parameter_covariance import parameter_covariance
-from hammerstein.identification.score import Score, invertibility_of, score
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import Score, SensorModel, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import build_state_space
-from hammerstein.identification.static.initial_state import judged_starts, own_starts
+from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.static_candidates import build_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Progress, Task
 from hammerstein.model import HammersteinModel
@@ -39,25 +35,18 @@ from hammerstein.records.gains import refuse_swapped
 from hammerstein.records.record import Record, begins_at_rest, dead_start
 from hammerstein.runtime.resources import one_blas_thread
 
-P = ParamSpec("P")
-T = TypeVar("T")
 
-
-def _told(work: Callable[P, T]) -> Callable[P, T]:
+@contextmanager
+def _told() -> Iterator[None]:
     """Turn equations that cannot be solved, whichever they are, into what a person can do about them."""
-
-    @wraps(work)
-    def identified(*args: P.args, **options: P.kwargs) -> T:
-        try:
-            return work(*args, **options)
-        except np.linalg.LinAlgError as error:
-            raise IdentificationError(
-                "the records do not determine the requested model: its equations cannot be solved "
-                f"({error}). Use longer records or a simpler model: fewer operators, another "
-                "partition, no dynamics"
-            ) from None
-
-    return identified
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise IdentificationError(
+            "the records do not determine the requested model: its equations cannot be solved "
+            f"({error}). Use longer records or a simpler model: fewer operators, another "
+            "partition, no dynamics"
+        ) from None
 
 
 def identify(
@@ -125,20 +114,6 @@ class UntoldError(IdentificationError):
     """The records do not identify what a kind of hysteresis has beside plays."""
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """Records with the plays and linear models fitted to them: what the fit of any kind begins with.
-
-    given : records as they were given
-    """
-
-    given: tuple[Record, ...]
-    task: Task
-    built: CandidateSet
-    curve: tuple[CurvePoint, ...]
-    errors: Errors
-
-
 def settings_of_plays(asked: Settings, kind: str) -> Settings:
     """With which settings plays are fitted before a kind of hysteresis."""
     settings = asked if kind == PLAYS else asked.without_auto()
@@ -147,7 +122,7 @@ def settings_of_plays(asked: Settings, kind: str) -> Settings:
     return settings.with_plays()
 
 
-@_told
+@_told()
 @one_blas_thread()
 def fit_plays(
     records: Record | Iterable[Record],
@@ -173,11 +148,11 @@ def fit_plays(
     held_starts = _starts_of_held(held, built, settings)
     tell("testing the models")
     built, trials = _kept(task, built)
-    errors = Errors({}, {}, held, held_starts, response, trials, records)
-    return Prepared(records, replace(task, progress=_silent), built, curve, errors)
+    task = replace(task, progress=_silent)
+    return Prepared(records, task, built, curve, held, held_starts, response, trials)
 
 
-@_told
+@_told()
 @one_blas_thread()
 def fit_kind(
     prepared: Prepared,
@@ -192,23 +167,21 @@ def fit_kind(
     Raises UntoldError where plays are as good.
     """
     tell, plain = progress or _silent, asked.hysteresis == PLAYS
-    task, built, errors = replace(prepared.task, progress=tell), prepared.built, prepared.errors
-    settings = task.settings
+    task, built, held, settings = prepared.task, prepared.built, prepared.held, prepared.task.settings
     if not plain:
-        task, built = with_hysteresis(replace(task, settings=asked), built)
+        task, built = with_hysteresis(replace(task, settings=asked, progress=tell), built)
         if built.untold:
             raise UntoldError(built.untold)
-        errors = errors._replace(held_starts=_starts_of_held(errors.held, built, settings))
-    errors = errors._replace(
-        fitted=_scores(built, task.records, task.starts, settings),
-        judged=_scores(built, errors.held, errors.held_starts, settings) if errors.held else {},
-    )
+        held_starts = _starts_of_held(held, built, settings)
+        prepared = replace(prepared, task=task, built=built, held_starts=held_starts)
+    fitted = _scores(built, task.records, task.starts, settings)
+    judged = _scores(built, held, prepared.held_starts, settings) if held else {}
     tell("estimating the standard errors")
     best = built.best.candidate
     placed = built.best.blocks.fitted if plain else best.placed
     known = parameter_covariance(best, task.records, task.starts, placed)
     voltages = voltages_of(prepared.given, task.records, task.starts, best)
-    fit = fit_of(task, built, prepared.curve, errors, voltages, known)
+    fit = fit_of(prepared, fitted, judged, voltages, known)
     return model_of(fit, best, name, instruments), fit
 
 
@@ -220,11 +193,8 @@ def _scores(
     built: CandidateSet, records: tuple[Record, ...], starts: tuple[InitialState, ...], settings: Settings
 ) -> dict[Kind, Score]:
     """Errors of every kind of model on the same samples, each with the past that it explains best."""
-    mode = start_mode(settings)
     return {
-        kind: score(
-            candidate, records, own_starts(records, starts, candidate.predict, mode, candidate.slow_s)
-        )
+        kind: score(candidate, records, candidate.own_starts(records, starts, settings.start_mode))
         for kind, candidate in built.candidates.items()
     }
 
@@ -235,7 +205,7 @@ def _starts_of_held(
     """Initial states of the validation records, by the best model or by one that explains the start."""
     best = built.best.candidate
     simpler = [candidate.predict for candidate in built.candidates.values() if candidate is not best]
-    return judged_starts(held, best.predict, best.settle_s, start_mode(settings), simpler, best.slow_s)
+    return judged_starts(held, best.predict, best.settle_s, settings.start_mode, simpler, best.slow_s)
 
 
 def _kept(task: Task, built: CandidateSet) -> tuple[CandidateSet, tuple[Trial, ...]]:
@@ -244,17 +214,13 @@ def _kept(task: Task, built: CandidateSet) -> tuple[CandidateSet, tuple[Trial, .
         *((KIND_NAMES[kind], kind, found) for kind, found in built.found.items()),
         *((name, "hammerstein", found) for name, found in built.others),
     ]
-    trials = []
+    records, trials = task.records, []
     for name, _, found in named:
         candidate = found.candidate
-        mode = start_mode(task.settings)
-        own = own_starts(task.records, task.starts, candidate.predict, mode, candidate.slow_s)
-        swing, record = float(half_swing(task.records).max()), task.records[0]
-        told = invertibility_of(
-            candidate.hysteresis, candidate.dynamics, swing, record.sample_time_s, record.inputs
-        )
-        dynamics = not found.axes or any(axis.identified for axis in found.axes)
-        trials.append(trial_of(name, candidate, task.records, own, invertible=told[0], told=dynamics))
+        own = candidate.own_starts(records, task.starts, task.settings.start_mode)
+        told = not found.axes or any(axis.identified for axis in found.axes)
+        inverse = candidate.has_inverse(records)
+        trials.append(trial_of(name, candidate, records, own, invertible=inverse, told=told))
     i = chosen(trials)
     _, kind, found = named[i]
     marked = tuple(replace(trial, kept=k == i) for k, trial in enumerate(trials))

@@ -24,13 +24,11 @@ from hammerstein.identification.operators import (
     error_curve,
     input_grids,
 )
-from hammerstein.identification.options import InitialStateMode
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
     ENDS,
     TURN_WORTH,
-    Predict,
     decays,
     found_starts,
     judged_starts,
@@ -61,30 +59,15 @@ FIRST_SAMPLES = 50_000
 """Operators and samples of the first model, which only tells how the records begin."""
 
 
-def start_mode(settings: Settings) -> InitialStateMode:
-    """Without a model of how it rings, a start from rest cannot be told from the records."""
-    return "repeated" if settings.dynamics == "state_space" and settings.start == "auto" else settings.start
-
-
-def settle_s_of(guesses: Sequence[FirstGuess]) -> float:
-    """Time after which what rang before the records has settled in every model guessed [s]."""
-    return max((guess.dynamics().settle_s for guess in guesses), default=0.0)
-
-
 def _first_starts(
     records: tuple[Record, ...], settings: Settings, guess: FirstGuess | None = None
 ) -> tuple[InitialState, ...]:
     """How the records begin, with quick models of the static block behind the axes guessed so far."""
-    mode = start_mode(settings)
+    mode = settings.start_mode
     if mode == "rest":
         return (InitialState("rest"),) * len(records)
-
-    models = _FirstModels(records, guess, settings)
-
-    def fit(starts: Sequence[InitialState]) -> Predict:
-        return models.fitted(starts).predict
-
-    return found_starts(records, fit, guess.dynamics().settle_s if guess else 0.0, mode)
+    models, settle_s = _FirstModels(records, guess, settings), guess.dynamics().settle_s if guess else 0.0
+    return found_starts(records, lambda starts: models.fitted(starts).predict, settle_s, mode)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +125,8 @@ def first_task(
         guesses = guesses_of(records, starts, settings, tell)
         guess = guesses[-1]
     first = _FirstModels(records, guess, settings).fitted(starts)
-    starts = judged_starts(records, first.predict, settle_s_of(guesses), start_mode(settings))
+    settle_s = max((one.dynamics().settle_s for one in guesses), default=0.0)
+    starts = judged_starts(records, first.predict, settle_s, settings.start_mode)
     if guess:
         starts = creeping_starts(records, starts, guess, settings, tell)
     static = _static_delay(records, starts, settings, tell)
@@ -189,7 +173,7 @@ def creeping_starts(
     quick, begun = shortened(records, starts, FIRST_SAMPLES)
     first = _FirstModels(quick, guess, settings).fitted(begun)
     errors = [first.residual(record, start) for record, start in zip(quick, begun, strict=True)]
-    if start_mode(settings) != "auto" or settings.creep_modes == 0 or not any(map(decays, errors)):
+    if settings.start_mode != "auto" or settings.creep_modes == 0 or not any(map(decays, errors)):
         return starts
     tell("looking whether the records began while they crept")
     alike = [begun, *(_all_stepped_from(end, quick, begun) for end in ENDS)]

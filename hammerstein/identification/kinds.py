@@ -28,7 +28,7 @@ from hammerstein.identification.output_dynamics import (
     sure_output_dynamics,
 )
 from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
-from hammerstein.identification.score import Candidate, invertibility_of, score
+from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.initial_state import (
     FEWEST,
     Predict,
@@ -40,13 +40,10 @@ from hammerstein.identification.static.initial_state import (
     unexplained,
 )
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.static_block import (
-    Thresholds,
-    half_swing,
-)
+from hammerstein.identification.static.static_block import Thresholds
 from hammerstein.identification.static.threshold_exchange import price
 from hammerstein.identification.static_candidates import begun_static
-from hammerstein.identification.task import CandidateSet, FittedModel, Task
+from hammerstein.identification.task import CandidateSet, FittedModel, Task, thresholds_of
 
 WITHOUT_PLAYS = ("linear", "linear_dynamics")
 MOST_TURNS = 4
@@ -95,35 +92,34 @@ def with_hysteresis(task: Task, built: CandidateSet) -> tuple[Task, CandidateSet
     """
     settings, kind, with_plays = task.settings, task.settings.hysteresis, task.delay_samples
     task.progress(f"fitting the {kind.replace('_', ' ')} hysteresis")
-    before = built.best
+    before, given_v = built.best, task.thresholds_v
     task = task.delayed_as(before.candidate.dynamics)
-    thresholds_v = _thresholds_of_plays(built)
-    tried = [_without_axes(task, thresholds_v, free=_free_delay(task))]
+    task = replace(task, thresholds_v=_thresholds_of_plays(built))
+    tried = [_without_axes(task, free=_free_delay(task))]
     asked = settings.dynamics != "auto" or settings.creep_modes not in (0, "auto")
     if settings.dynamics != "none" and (asked or several_rates(task.records)):
-        tried.append(_with_axes(task, thresholds_v, tried[0].block))
+        tried.append(_with_axes(task, tried[0].block))
     found = tried[chosen(trials_of(task, tried))]
     task = replace(task, starts=found.starts, delay_samples=found.behind.delay_samples)
     name: Kind = "static_hysteresis" if found.behind.is_static else "hammerstein"
     axes = () if found.behind.is_static else found.behind.fits
-    alike = before if found.behind.is_static else _plays_before(task, thresholds_v, found.behind, before)
+    alike = before if found.behind.is_static else _plays_before(task, found.behind, before)
     plays = {**built.found, "classical": alike}
     if name == built.kind == "static_hysteresis" and task.delay_samples != with_plays:
-        alone = begun_static(task).found  # with the delay that a model without plays alone was kept with
+        begun = replace(task, thresholds_v=given_v)  # with the delay of a model without plays
+        alone = begun_static(begun).found
         plays = _better(task, plays, {"linear": alone["linear"], "classical": alone["static_hysteresis"]})
     models = {**plays, name: FittedModel(found.candidate, before.blocks, axes)}
-    notes, untold = (*built.notes, *found.block.notes), _untold(task, thresholds_v, found)
+    notes, untold = (*built.notes, *found.block.notes), _untold(task, found)
     built = replace(built, found=models, kind=name, axes=axes, notes=notes, untold=untold)
     return task, replace(built, alone=tried[0].candidate)
 
 
-def _plays_before(
-    task: Task, thresholds_v: Thresholds, behind: OutputDynamics, static: FittedModel
-) -> FittedModel:
+def _plays_before(task: Task, behind: OutputDynamics, static: FittedModel) -> FittedModel:
     """Plays before the axes that were found behind the other kind: what that kind is compared with."""
     task = replace(task, settings=task.settings.with_plays())
-    plays = PrandtlIshlinskii.first_guesses(driven_of(task, thresholds_v))[0]
-    whole = _before(task, thresholds_v, behind, FittedBlock(plays, rough=True))
+    plays = PrandtlIshlinskii.first_guesses(driven_of(task, task.thresholds_v))[0]
+    whole = _before(task, behind, FittedBlock(plays, rough=True))
     return FittedModel(whole.candidate, static.blocks, behind.fits)
 
 
@@ -134,11 +130,10 @@ def _thresholds_of_plays(built: CandidateSet) -> Thresholds:
     """
     kinds: tuple[Kind, ...] = (built.kind, "hammerstein", "static_hysteresis")
     with_plays = (built.found[k] for k in kinds if k in built.found and k not in WITHOUT_PLAYS)
-    pairs = next(with_plays, built.best).blocks.chosen.hysteresis.pairs
-    return [[pair.thresholds_v for pair in row] for row in pairs]
+    return thresholds_of(next(with_plays, built.best).blocks)
 
 
-def _untold(task: Task, thresholds_v: Thresholds, found: HammersteinFit) -> str:
+def _untold(task: Task, found: HammersteinFit) -> str:
     """Parameters of a kind that the records do not identify: without them, plays are as good."""
     block = found.block.hysteresis
     own = block.without_own() if isinstance(block, Identifiable) else None
@@ -146,7 +141,7 @@ def _untold(task: Task, thresholds_v: Thresholds, found: HammersteinFit) -> str:
         return ""
     without, words = own
     like = FittedBlock(cast("Hysteresis[Any]", without), rough=True)
-    plain = _before(task, thresholds_v, found.behind, like)
+    plain = _before(task, found.behind, like)
     with_own, alone = (replace(t, usable=True) for t in trials_of(task, [found, plain]))
     if chosen([replace(alone, parameters=0), with_own]):
         return ""
@@ -167,7 +162,7 @@ def _better(
     return {kind: min([one, others.get(kind, one)], key=left) for kind, one in found.items()}
 
 
-def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> HammersteinFit:
+def _without_axes(task: Task, free: bool) -> HammersteinFit:
     """Block without dynamics: with the delay known, or the shortest that is as good as any.
 
     What went before the records was judged with plays. It is judged anew with the block itself once the delay
@@ -178,14 +173,14 @@ def _without_axes(task: Task, thresholds_v: Thresholds, free: bool) -> Hammerste
     left: list[float] = []
     for turn, delay in enumerate(delays):
         like = replace(found[-1].block, rough=found[-1].block.picked) if found else None
-        found.append(_before(task, thresholds_v, OutputDynamics((), delay), like, ROUGHLY))
+        found.append(_before(task, OutputDynamics((), delay), like, ROUGHLY))
         left.append(score(found[-1].candidate, task.records, task.starts).mean_percent)
         if turn - int(np.argmin(left)) >= WORSE_DELAYS:  # two more leave more
             break
     nearest = _first_as_good(task, found)
     like = nearest.block if nearest is found[0] else _again(nearest.block)  # whose columns are its own
-    nearest = _with_few_places(task, thresholds_v, _before(task, thresholds_v, nearest.behind, like))
-    begun = _begun_anew(task, thresholds_v, nearest, first=False)
+    nearest = _with_few_places(task, _before(task, nearest.behind, like))
+    begun = _begun_anew(task, nearest, first=False)
     return nearest if begun is nearest else _first_as_good(task, [nearest, begun])
 
 
@@ -207,12 +202,10 @@ def trials_of(task: Task, tried: Sequence[HammersteinFit]) -> list[Trial]:
 
     All are judged on the same samples: a beginning that one of them explains counts for all.
     """
-    record, swing, found = task.records[0], float(half_swing(task.records).max()), []
+    found = []
     for one in tried:
-        starts = _judged_alike(task, one, tried)
-        block, dynamics = one.candidate.hysteresis.counted_from(record.rest_v), one.candidate.dynamics
-        told = invertibility_of(block, dynamics, swing, record.sample_time_s, record.inputs)[0]
-        found.append(trial_of(one.name, one.candidate, task.records, starts, invertible=told))
+        starts, inverse = _judged_alike(task, one, tried), one.candidate.has_inverse(task.records)
+        found.append(trial_of(one.name, one.candidate, task.records, starts, invertible=inverse))
     return found
 
 
@@ -250,9 +243,7 @@ class HammersteinFit(NamedTuple):
         return ", ".join(shapes) or f"{self.behind.delay_samples:g} samples late"
 
 
-def _with_axes(
-    task: Task, thresholds_v: Thresholds, alone: FittedBlock, sure_of_starts: bool = False
-) -> HammersteinFit:
+def _with_axes(task: Task, alone: FittedBlock, sure_of_starts: bool = False) -> HammersteinFit:
     """Block, axes and initial states, fitted in turn until the error falls no further.
 
     The block is fitted with its bounds and all its nonlinear parameters, the axes together with its weights.
@@ -265,29 +256,29 @@ def _with_axes(
     """
     free, least = _free_delay(task), math.inf
     found = OutputDynamics((), 0.0 if free else task.delay_samples)
-    whole = _before(task, thresholds_v, found, None if alone.placed else alone, ROUGHLY)
+    whole = _before(task, found, None if alone.placed else alone, ROUGHLY)
     for turn in range(MOST_TURNS):
         found = search_output_dynamics(task, whole.block.hysteresis, found, free and turn == DELAY_TURN)
         like, enough = (_again(whole.block), ENOUGH) if turn else (None, ROUGHLY)
         task.progress(f"fitting hysteresis and dynamics together, round {turn + 1} of at most {MOST_TURNS}")
-        whole = _before(task, thresholds_v, found, like, enough)
+        whole = _before(task, found, like, enough)
         found = whole.behind
-        begun = whole if sure_of_starts else _begun_anew(task, thresholds_v, whole, first=turn == 0)
+        begun = whole if sure_of_starts else _begun_anew(task, whole, first=turn == 0)
         moved = begun is not whole
         whole, found, task = begun, begun.behind, replace(task, starts=begun.starts)
         error = score(whole.candidate, task.records, task.starts).mean_percent
         if not (moved or lowers(error, least, WORTHWHILE)):
             break
         least = error
-    one = whole if sure_of_starts else _of_one_state(task, thresholds_v, whole)
+    one = whole if sure_of_starts else _of_one_state(task, whole)
     if one is not whole:  # what was found with the other states is no good beginning
-        return _with_axes(replace(task, starts=one.starts), thresholds_v, alone, sure_of_starts=True)
-    whole = _with_few_places(task, thresholds_v, whole)
+        return _with_axes(replace(task, starts=one.starts), alone, sure_of_starts=True)
+    whole = _with_few_places(task, whole)
     sure = sure_output_dynamics(task, whole.block.hysteresis, whole.behind)
-    return _before(task, thresholds_v, sure, replace(whole.block, rough=True))._replace(behind=sure)
+    return _before(task, sure, replace(whole.block, rough=True))._replace(behind=sure)
 
 
-def _of_one_state(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -> HammersteinFit:
+def _of_one_state(task: Task, whole: HammersteinFit) -> HammersteinFit:
     """The same model, or one for which records that begin at one voltage and position begin in one state.
 
     Plays told the states first. A kind and its creep that were fitted with wrong ones confirm them.
@@ -297,13 +288,13 @@ def _of_one_state(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -
     task.progress("fitting with one initial state of all records")
     ways = alike_starts(task.records)
     others = [
-        _before(replace(task, starts=ways[kind]), thresholds_v, whole.behind, whole.block)
+        _before(replace(task, starts=ways[kind]), whole.behind, whole.block)
         for kind in ("rest", "low", "high")
     ]
     return min([whole, *others], key=lambda one: score(one.candidate, task.records, one.starts).mean_percent)
 
 
-def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit) -> HammersteinFit:
+def _with_few_places(task: Task, whole: HammersteinFit) -> HammersteinFit:
     """The same model, or one with few places that are fitted if it leaves less on the folds.
 
     Places are fitted to the folds too, so each must save its price there; where readings are too few for all
@@ -311,7 +302,7 @@ def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit
     seem sufficient.
     """
     task = replace(task, delay_samples=whole.behind.delay_samples)
-    driven, kind = driven_of(task, thresholds_v), identifiable_kinds()[task.settings.hysteresis]
+    driven, kind = driven_of(task, task.thresholds_v), identifiable_kinds()[task.settings.hysteresis]
     if not whole.block.picked or not (begins := kind.spread(driven)):
         return whole
     few = few_places(task, begins, driven, whole.behind)
@@ -323,7 +314,7 @@ def _with_few_places(task: Task, thresholds_v: Thresholds, whole: HammersteinFit
         most = many * math.exp(-0.5 * price(len(few.block.released(driven).free), task.readings))
     if few.held or left > most:
         return whole
-    return _before(task, thresholds_v, few.behind, FittedBlock(few.hysteresis, ridge=ridge, placed=True))
+    return _before(task, few.behind, FittedBlock(few.hysteresis, ridge=ridge, placed=True))
 
 
 def _again(block: FittedBlock) -> FittedBlock | None:
@@ -331,17 +322,15 @@ def _again(block: FittedBlock) -> FittedBlock | None:
     return None if block.picked else block
 
 
-def _begun_anew(task: Task, thresholds_v: Thresholds, whole: HammersteinFit, first: bool) -> HammersteinFit:
+def _begun_anew(task: Task, whole: HammersteinFit, first: bool) -> HammersteinFit:
     """The same model, or the one fitted anew where the records began otherwise for it."""
-    starts = _starts_behind(task, thresholds_v, whole, first)
+    starts = _starts_behind(task, whole, first)
     if starts == task.starts:
         return whole
-    return _before(replace(task, starts=starts), thresholds_v, whole.behind, whole.block)
+    return _before(replace(task, starts=starts), whole.behind, whole.block)
 
 
-def _starts_behind(
-    task: Task, thresholds_v: Thresholds, whole: HammersteinFit, first: bool
-) -> tuple[InitialState, ...]:
+def _starts_behind(task: Task, whole: HammersteinFit, first: bool) -> tuple[InitialState, ...]:
     """Initial states that suit a model with axes.
 
     With lag and creep known, states that were undetermined before are estimated again. A slow mode fitted
@@ -367,21 +356,20 @@ def _starts_behind(
 
     def fit(starts: Sequence[InitialState]) -> Predict:
         begun = replace(quick, starts=tuple(starts))
-        return _before(begun, thresholds_v, whole.behind, rough).candidate.predict
+        return _before(begun, whole.behind, rough).candidate.predict
 
     return each_alone(quick.records, starts, fit, unexplained(task.records, starts))
 
 
 def _before(
     task: Task,
-    thresholds_v: Thresholds,
     found: OutputDynamics,
     like: FittedBlock | None = None,
     enough: float = ENOUGH,
 ) -> HammersteinFit:
     """Block before the axes found, with the columns of another one if it is given."""
     late = replace(task, delay_samples=found.delay_samples)
-    block, found = _of_kind(late, thresholds_v, found, like, enough)
+    block, found = _of_kind(late, found, like, enough)
     candidate = replace(
         late.candidate(block.hysteresis, _dynamics(late, found)), at_limit=block.at_limit, placed=block.placed
     )
@@ -393,14 +381,14 @@ def _dynamics(task: Task, found: OutputDynamics) -> AxesDynamics | StaticDynamic
 
 
 def _of_kind(
-    task: Task, thresholds_v: Thresholds, found: OutputDynamics, like: FittedBlock | None, enough: float
+    task: Task, found: OutputDynamics, like: FittedBlock | None, enough: float
 ) -> tuple[FittedBlock, OutputDynamics]:
     """A block of any kind by the one fit: behind it the axes are fitted along with its free numbers.
 
     Where the kind has columns to choose from, folds of the records do, and then only the weights are found.
     ``like`` is where the search begins; where that is rough, only the weights are found again.
     """
-    driven = driven_of(task, thresholds_v)
+    driven = driven_of(task, task.thresholds_v)
     kind = identifiable_kinds()[task.settings.hysteresis]
     known = like if like is not None and isinstance(like.hysteresis, kind) else None
     begins = kind.first_guesses(driven) if known is None else [cast(Identifiable, known.hysteresis)]
@@ -416,7 +404,14 @@ def _of_kind(
     fit = fit_block(task, begins, driven, found, refined=refined, ridge=ridge, enough=enough)
     fit = fit._replace(hysteresis=cast("Hysteresis[Any]", fit.block.settled()))
     record = task.records[0]
-    notes = [*fit.block.statements(record.inputs, record.outputs), *_bounded(task, fit.held)]
+    notes = [
+        *fit.block.statements(record.inputs, record.outputs),
+        *(
+            f"slopes from {record.inputs[k]} to {record.outputs[o]} held at their lower bound so that the "
+            "model stays invertible"
+            for o, k in fit.held
+        ),
+    ]
     if kind.passes_for_delay:
         late = f"used a known delay of {task.delay_samples:g} samples"
         notes.append(f"{late}: a delay and growing thresholds look alike")
@@ -425,12 +420,3 @@ def _of_kind(
         notes.append(f"parameters of the hysteresis at a limit, which the records do not determine: {count}")
     at_limit = bool(fit.at_limit)
     return FittedBlock(fit.hysteresis, tuple(notes), ridge, picked, placed, at_limit=at_limit), fit.behind
-
-
-def _bounded(task: Task, held: Sequence[tuple[int, int]]) -> list[str]:
-    record = task.records[0]
-    return [
-        f"slopes from {record.inputs[k]} to {record.outputs[o]} held at their lower bound so that the model "
-        "stays invertible"
-        for o, k in held
-    ]

@@ -204,10 +204,7 @@ def parameters_of(candidate: Candidate) -> int:
     if isinstance(dynamics, StaticDynamics):
         return weights + thresholds
     if isinstance(dynamics, AxesDynamics):
-        each = [
-            2 * (a.resonance_hz is not None) + (a.lag_s is not None) + 2 * len(a.creep) for a in dynamics.axes
-        ]
-        return weights + thresholds + sum(each)
+        return weights + thresholds + len(dynamics.free)
     block = dynamics.block()
     n, p = len(block.A), len(block.D)
     return weights + thresholds + n * (2 * p + 1)

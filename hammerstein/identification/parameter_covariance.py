@@ -177,10 +177,10 @@ def parameter_covariance(
         hidden = HIDDEN * hysteresis.n_inputs * price(1 + hysteresis.n_outputs, readings)
         squares = max(squares, hidden * readings)
     most = _most(misfit[cells:], scale[cells:])
-    misfit = misfit * _size(candidate, records, starts, told, mean, misfit, squares, most)
+    misfit = misfit * _size(candidate, told, mean, misfit, squares, most)
     alone = np.linalg.norm(own, axis=1)
     untold = [int(i) for i in fitted if i < cells and alone[i] > UNTOLD * scale[i]]
-    taken = _taken_by_axes(candidate, records, starts, told, mean, fitted, scale)
+    taken = _taken_by_axes(candidate, told, mean, fitted, scale)
     factor = triangle(np.hstack([own, misfit, taken]))
     placed = thresholds_fitted if cells else _has_places(hysteresis)
     return ParameterCovariance(factor, mean.following, tuple(fitted.tolist()), tuple(untold), SIZED * placed)
@@ -212,9 +212,13 @@ def _has_places(hysteresis: Hysteresis[Any]) -> bool:
 class _Told(NamedTuple):
     """Derivatives of a record by the parameters (output, number, sample) and the weights, and the residual.
 
+    record, start : whose they are
+
     residual : with all samples; every : number of samples averaged in the others
     """
 
+    record: Record
+    start: InitialState
     by_numbers: Array
     by_weights: tuple[Array, ...]
     left: Array
@@ -244,7 +248,7 @@ def _told_by(candidate: Candidate, record: Record, start: InitialState, scale: A
         moved = left - _averaged(residual(hysteresis.with_weights(more), dynamics), every)
         for o, columns in enumerate(by_weights):
             columns[j : j + 1] = moved[o]
-    return _Told(by_numbers, tuple(by_weights), left, whole, every)
+    return _Told(record, start, by_numbers, tuple(by_weights), left, whole, every)
 
 
 def _averaged(rows: Array, every: int) -> Array:
@@ -329,21 +333,15 @@ def _scores(one: _Told, mean: _Mean, fitted: Indices) -> Iterator[Array]:
 
 
 def _taken_by_axes(
-    candidate: Candidate,
-    records: Sequence[Record],
-    starts: Sequence[InitialState],
-    told: Sequence[_Told],
-    mean: _Mean,
-    fitted: Indices,
-    scale: Array,
+    candidate: Candidate, told: Sequence[_Told], mean: _Mean, fitted: Indices, scale: Array
 ) -> Array:
     """Matrix S (number, output): by how much the numbers of the axes move beside columns of other laws."""
     spread, dynamics = np.zeros((len(scale), len(mean.misfit))), candidate.dynamics
     if not (isinstance(dynamics, AxesDynamics) and len(dynamics.free) and mean.misfit.any()):
         return spread
-    swing, others = half_swing(records), []
-    for one, record, start in zip(told, records, starts, strict=True):
-        groups = other_columns(candidate, record, start, swing)
+    swing, others = half_swing([one.record for one in told]), []
+    for one in told:
+        groups = other_columns(candidate, one.record, one.start, swing)
         others.append([[_averaged(x, one.every) for x in group] for group in groups])
     first = len(scale) - len(dynamics.free)
     for o, (axis, misfit) in enumerate(zip(dynamics.axes, mean.misfit.tolist(), strict=True)):
@@ -405,14 +403,7 @@ def _most(spread: Array, scale: Array) -> float:
 
 
 def _size(
-    candidate: Candidate,
-    records: Sequence[Record],
-    starts: Sequence[InitialState],
-    told: Sequence[_Told],
-    mean: _Mean,
-    spread: Array,
-    squares: float,
-    most: float,
+    candidate: Candidate, told: Sequence[_Told], mean: _Mean, spread: Array, squares: float, most: float
 ) -> float:
     """Factor k, ``most`` at most, for which draws of k S cause these squared errors on average.
 
@@ -433,8 +424,8 @@ def _size(
             weights = [w + m @ change for w, m in zip(hysteresis.weights, mean.following, strict=True)]
             block, axes = with_beside_weights(hysteresis, dynamics, x + change)
             moved = Candidate(block.with_weights(weights), axes, candidate.sensor)
-            for one, record, start in zip(told, records, starts, strict=True):
-                errors = moved.residual(record, start) - one.residual
+            for one in told:
+                errors = moved.residual(one.record, one.start) - one.residual
                 left += float(np.sum(np.sum(errors**2, axis=1) / mean.variance)) / DRAWS
         size = min(size * max(math.sqrt(squares / left), 1.0), most) if left > 0.0 else size
     return size

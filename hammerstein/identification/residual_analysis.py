@@ -14,7 +14,8 @@ from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import AT_REST, Candidate, Score, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static.static_block import StaticFit
+from hammerstein.identification.static.static_block import StaticFit, direct_pairs, half_swing
+from hammerstein.identification.task import CandidateSet, Task
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
 from hammerstein.records.record import Record, begins_at_rest, dead_start, driven_inputs
 from hammerstein.records.turning_points import noise_rms, turning_points
@@ -190,6 +191,23 @@ def _proposal(settings: Settings, inputs: int) -> str:
     return fewer.capitalize() + ": the model has no coupled resonances" * axes
 
 
+def flags_of(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str]:
+    """What spoils the records, and what a model of this kind cannot represent."""
+    blocks, outputs = built.best.blocks, task.records[0].outputs
+    spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
+    pairs = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
+    direct = [(o, k) for o, k in pairs if outputs[o] not in {name for _, name in spoiled}]
+    flags = [fault.text for fault in named if is_flag(fault, task.records)]
+    flags += record_flags(built.best.candidate, task.records, task.starts, spoiled)
+    if built.kind in ("linear", "static_hysteresis"):
+        flags += butterfly_flags(task.records, direct)
+    if not any("no rising loop" in flag for flag in flags):
+        flags += turning_back_flags(built.best.candidate, task.records, task.starts, pairs)
+    if blocks.one_sign is not None and task.settings.hysteresis == PLAYS:
+        flags += shape_flags(task, blocks.free, blocks.one_sign, direct)
+    return flags
+
+
 def record_flags(
     candidate: Candidate,
     records: Sequence[Record],
@@ -249,28 +267,24 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
 
 
 def shape_flags(
-    records: Sequence[Record],
-    free: StaticFit,
-    one_sign: StaticFit,
-    spans_um: Array,
-    direct: Sequence[tuple[int, int]],
+    task: Task, free: StaticFit, one_sign: StaticFit, direct: Sequence[tuple[int, int]]
 ) -> Iterator[str]:
     """Saturating loops: weights of one sign miss them, and the branches flatten towards the tips.
 
     Parameters
     ----------
-    records : fitted records
+    task : with the fitted records
     free, one_sign : fits with free weights, and with weights of the sign of the gain
-    spans_um : (output,) ranges of the outputs [um]
     direct : pairs (output, input) to be judged
     """
+    spans_um = ranges(task.records, task.starts)
     for o, k in direct:
         missed = 100.0 * one_sign.rms_um[o] / spans_um[o]
         needed = max(SATURATING_PERCENT, SATURATING_RATIO * 100.0 * free.rms_um[o] / spans_um[o])
         slopes = np.abs(free.hysteresis.pairs[o][k].slopes)
         if missed > needed and slopes[-1] < FLATTENED * slopes.max():
             yield (
-                f"{records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
+                f"{task.records[0].outputs[o]} saturates: towards the tips, the slope of its branches "
                 f"falls to {100 * slopes[-1] / slopes.max():.0f} % of the steepest slope, weights of "
                 f"one sign have an error of {missed:.1f} % of the range, and minor loops will be wrong"
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -22,7 +22,7 @@ from hammerstein.identification.options import (
     identifiable_kinds,
     unknown_word,
 )
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.quantities import DELAY_S, DELAY_SAMPLES, FREQUENCY_HZ, RIDGE, THRESHOLD_V
 from hammerstein.records.record import Record
 
@@ -120,94 +120,74 @@ class Settings(ByValue):
         """The same with plays in place of another kind of hysteresis."""
         return replace(self, hysteresis=PLAYS, dead_zones=None)
 
-    def _misfits(self) -> list[Mistake]:
-        mistakes = []
+    def _misfits(self) -> Iterator[Mistake]:
+        """What does not go together."""
         if self.dynamics == "state_space":
-            told = {"sensor_bandwidth_hz": self.sensor_bandwidth_hz, "sensor_delay_s": self.sensor_delay_s}
             why = (
                 "cannot be separated from dynamics state_space; choose other dynamics, or let its "
                 "states include it"
             )
-            mistakes += [Mistake(name, why) for name, value in told.items() if value]
-        if self.dynamics != "state_space" and self.order is not None:
-            mistakes.append(Mistake("order", "belongs to dynamics state_space"))
+            told = {"sensor_bandwidth_hz": self.sensor_bandwidth_hz, "sensor_delay_s": self.sensor_delay_s}
+            yield from (Mistake(name, why) for name, value in told.items() if value)
+        elif self.order is not None:
+            yield Mistake("order", "belongs to dynamics state_space")
         if self.creep_modes not in (0, "auto") and self.dynamics in ("none", "state_space"):
-            mistakes.append(Mistake("creep_modes", "belongs to dynamics lag, second_order or auto"))
+            yield Mistake("creep_modes", "belongs to dynamics lag, second_order or auto")
         if self.solver == "closed_form" and self.dynamics not in ("none", "auto"):
-            mistakes.append(
-                Mistake("solver", "closed_form ignores dynamics; use least_squares or invertible with them")
-            )
+            what = "closed_form ignores dynamics; use least_squares or invertible with them"
+            yield Mistake("solver", what)
         if isinstance(self.operators, str) and self.operators != "auto":
-            mistakes.append(Mistake("operators", f"{self.operators!r} is not known; give a number or auto"))
+            yield Mistake("operators", f"{self.operators!r} is not known; give a number or auto")
         if self.solver == "closed_form" and self.ridge > 0.0:
-            mistakes.append(Mistake("ridge", "belongs to the least-squares solvers, not to closed_form"))
-        return [*mistakes, *self._misfits_of_fitted(), *self._misfits_of_kind()]
+            yield Mistake("ridge", "belongs to the least-squares solvers, not to closed_form")
+        if self.partition == "fitted":
+            yield from self._misfits_of_fitted()
+        if self.dead_zones is not None and self.hysteresis != "asymmetric":
+            yield Mistake("dead_zones", "belongs to hysteresis asymmetric")
+        if self.hysteresis != PLAYS:
+            asked = {
+                "dynamics": self.dynamics == "state_space",
+                "solver": self.solver in ("closed_form", "nonnegative"),
+            }
+            why = f"cannot be used with hysteresis {self.hysteresis}"
+            yield from (Mistake(name, f"{getattr(self, name)} {why}") for name in asked if asked[name])
 
-    def _misfits_of_kind(self) -> list[Mistake]:
-        """What does not go together with a kind of hysteresis."""
-        stray = self.dead_zones is not None and self.hysteresis != "asymmetric"
-        mistakes = [Mistake("dead_zones", "belongs to hysteresis asymmetric")] if stray else []
-        if self.hysteresis == "prandtl_ishlinskii":
-            return mistakes
-        asked = {
-            "dynamics": self.dynamics == "state_space",
-            "solver": self.solver in ("closed_form", "nonnegative"),
-        }
-        return mistakes + [
-            Mistake(name, f"{getattr(self, name)} cannot be used with hysteresis {self.hysteresis}")
-            for name, is_wrong in asked.items()
-            if is_wrong
-        ]
-
-    def _misfits_of_fitted(self) -> list[Mistake]:
+    def _misfits_of_fitted(self) -> Iterator[Mistake]:
         """What does not go together with fitted thresholds."""
-        if self.partition != "fitted":
-            return []
-        wrong = {
-            "dynamics": (self.dynamics == "state_space", "state_space cannot be used"),
-            "solver": (self.solver == "closed_form", "closed_form cannot be used"),
-            "thresholds_v": (self.thresholds_v is not None, "cannot be given"),
-        }
-        mistakes = [
-            Mistake(name, f"{why} with partition fitted; choose time or voltage")
-            for name, (is_wrong, why) in wrong.items()
-            if is_wrong
-        ]
+        instead = "with partition fitted; choose time or voltage"
+        if self.dynamics == "state_space":
+            yield Mistake("dynamics", f"state_space cannot be used {instead}")
+        if self.solver == "closed_form":
+            yield Mistake("solver", f"closed_form cannot be used {instead}")
+        if self.thresholds_v is not None:
+            yield Mistake("thresholds_v", f"cannot be given {instead}")
         if not isinstance(self.operators, int | str):
-            mistakes.append(
-                Mistake("operators", "must be one number with partition fitted: the outputs share thresholds")
-            )
-        return mistakes
+            what = "must be one number with partition fitted: the outputs share thresholds"
+            yield Mistake("operators", what)
 
-    def _bad_numbers(self) -> list[Mistake]:
+    def _bad_numbers(self) -> Iterator[Mistake]:
         counts = np.array([1]) if isinstance(self.operators, str) else np.ravel(self.operators)
-        creep, delay = self.creep_modes, self.delay_samples
-        bandwidth = self.sensor_bandwidth_hz
-        thresholds = [] if self.thresholds_v is None else _flat(self.thresholds_v)
-        wrong = {
-            "operators": counts.dtype.kind not in "iu"
-            or not 1 <= counts.min() <= counts.max() <= MOST_OPERATORS,
-            "order": self.order is not None and not 1 <= self.order <= MOST_STATES,
-            "creep_modes": creep != "auto" and not (_whole(creep) and 0 <= creep <= MOST_CREEP_MODES),
-            "delay_samples": delay is not None and not (_whole(delay) and DELAY_SAMPLES.holds(delay)),
-            "sensor_bandwidth_hz": bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth),
-            "sensor_delay_s": not DELAY_S.holds(self.sensor_delay_s),
-            "ridge": not RIDGE.holds(self.ridge),
-            "dead_zones": self.dead_zones is not None and not 0 <= self.dead_zones <= MOST_DEAD_ZONES,
-            "thresholds": not all(map(THRESHOLD_V.holds, thresholds)) or not _rises(self.thresholds_v),
-        }
-        limits = {
-            "operators": f"must be a whole number, 1 to {MOST_OPERATORS}",
-            "order": f"must be 1 to {MOST_STATES}",
-            "creep_modes": f"must be auto or a whole number, 0 to {MOST_CREEP_MODES}",
-            "delay_samples": f"{DELAY_SAMPLES.words()}, a whole number",
-            "sensor_bandwidth_hz": f"{FREQUENCY_HZ.words()}; omit it for a sensor without lag",
-            "sensor_delay_s": DELAY_S.words(),
-            "ridge": RIDGE.words(),
-            "dead_zones": f"must be 0 to {MOST_DEAD_ZONES}",
-            "thresholds": f"{THRESHOLD_V.words()}, each larger than the previous one",
-        }
-        return [Mistake(name, limits[name]) for name, is_wrong in wrong.items() if is_wrong]
+        creep, delay, bandwidth = self.creep_modes, self.delay_samples, self.sensor_bandwidth_hz
+        if counts.dtype.kind not in "iu" or not 1 <= counts.min() <= counts.max() <= MOST_OPERATORS:
+            yield Mistake("operators", f"must be a whole number, 1 to {MOST_OPERATORS}")
+        if self.order is not None and not 1 <= self.order <= MOST_STATES:
+            yield Mistake("order", f"must be 1 to {MOST_STATES}")
+        if creep != "auto" and not (_whole(creep) and 0 <= creep <= MOST_CREEP_MODES):
+            yield Mistake("creep_modes", f"must be auto or a whole number, 0 to {MOST_CREEP_MODES}")
+        if delay is not None and not (_whole(delay) and DELAY_SAMPLES.holds(delay)):
+            yield Mistake("delay_samples", f"{DELAY_SAMPLES.words()}, a whole number")
+        if bandwidth is not None and not FREQUENCY_HZ.holds(bandwidth):
+            what = f"{FREQUENCY_HZ.words()}; omit it for a sensor without lag"
+            yield Mistake("sensor_bandwidth_hz", what)
+        if not DELAY_S.holds(self.sensor_delay_s):
+            yield Mistake("sensor_delay_s", DELAY_S.words())
+        if not RIDGE.holds(self.ridge):
+            yield Mistake("ridge", RIDGE.words())
+        if self.dead_zones is not None and not 0 <= self.dead_zones <= MOST_DEAD_ZONES:
+            yield Mistake("dead_zones", f"must be 0 to {MOST_DEAD_ZONES}")
+        arrays = () if self.thresholds_v is None else _arrays(self.thresholds_v)
+        if not all(all(map(THRESHOLD_V.holds, r)) and (np.diff(r) > 0.0).all() for r in arrays):
+            yield Mistake("thresholds", f"{THRESHOLD_V.words()}, each larger than the previous one")
 
     @property
     def sensor(self) -> SensorModel:
@@ -233,6 +213,11 @@ class Settings(ByValue):
     def uses_axes(self) -> bool:
         """Whether the linear block, if any, acts on each output alone."""
         return self.dynamics != "state_space"
+
+    @property
+    def start_mode(self) -> InitialStateMode:
+        """Without a model of how it rings, a start from rest cannot be told from the records."""
+        return "repeated" if self.dynamics == "state_space" and self.start == "auto" else self.start
 
     @property
     def shapes(self) -> tuple[tuple[bool, bool], ...]:
@@ -261,42 +246,29 @@ class Settings(ByValue):
         p, m = len(records[0].y_um), len(records[0].u_v)
         if self.thresholds_v is not None:
             return _given(self.thresholds_v, p, m)
-        rows = self._placed(records, operators)
+        chosen = operators if self.operators == "auto" else self.operators
+        counts = np.full((p, m), chosen) if isinstance(chosen, int) else np.asarray(chosen)
+        if counts.shape != (p, m):
+            raise InputError("operators", f"have shape {counts.shape}; give one number, or ({p}, {m})")
+        grids = {n: input_grids(records, n, self.begun_with) for n in np.unique(counts).tolist()}
+        rows = [[grids[n][k].copy() for k, n in enumerate(row)] for row in counts.tolist()]
         if self.dynamics == "state_space":
             for r in (r for row in rows for r in row if r.size):
                 r[0] = 0.0  # so that the static block can be a mere gain in front of the linear one
         return rows
 
-    def _placed(self, records: Sequence[Record], operators: int | None) -> list[list[Array]]:
-        p, m = len(records[0].y_um), len(records[0].u_v)
-        chosen = operators if self.operators == "auto" else self.operators
-        if isinstance(chosen, int):
-            row = input_grids(records, chosen, self.begun_with)
-            return [[r.copy() for r in row] for _ in range(p)]
-        counts = np.asarray(chosen)
-        if counts.shape != (p, m):
-            raise InputError("operators", f"have shape {counts.shape}; give one number, or ({p}, {m})")
-        return [
-            [input_grids(records, int(counts[o, k]), self.begun_with)[k] for k in range(m)] for o in range(p)
-        ]
 
-
-def _flat(thresholds_v: Array | Sequence[float] | Sequence[Sequence[Array]]) -> list[float]:
-    """All thresholds, however they are nested."""
-    if np.ndim(thresholds_v) == 0:
-        return [float(thresholds_v)]  # type: ignore[arg-type]
-    return [value for part in thresholds_v for value in _flat(part)]  # type: ignore[arg-type]
+def _arrays(thresholds_v: Any) -> Iterator[Array]:
+    """Each array of thresholds, however they are nested."""
+    if all(np.ndim(part) == 0 for part in thresholds_v):
+        yield np.asarray(thresholds_v, dtype=np.float64)
+    else:
+        for part in thresholds_v:
+            yield from _arrays(part)
 
 
 def _whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _rises(thresholds_v: Array | Sequence[Any] | None) -> bool:
-    """Whether each array of thresholds rises, however they are nested."""
-    if thresholds_v is None or all(np.ndim(part) == 0 for part in thresholds_v):
-        return thresholds_v is None or bool((np.diff(np.asarray(thresholds_v, dtype=np.float64)) > 0.0).all())
-    return all(_rises(part) for part in thresholds_v)
 
 
 def _given(

@@ -11,8 +11,7 @@ from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.delay import best_delay
 from hammerstein.identification.model_selection import lowers
 from hammerstein.identification.operators import CURVE_SAMPLES
-from hammerstein.identification.score import invertibility_of
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel, invertibility_of
 from hammerstein.identification.static.closed_form import closed_form_model
 from hammerstein.identification.static.initial_state import closed, shortened
 from hammerstein.identification.static.regressors import InitialState

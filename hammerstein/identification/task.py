@@ -50,11 +50,6 @@ class Task:
         """Samples of all records and outputs."""
         return sum(record.y_um.size for record in self.records)
 
-    @property
-    def delay_s(self) -> float:
-        """Delay of the inputs [s]."""
-        return self.delay_samples * self.records[0].sample_time_s
-
     def linear_thresholds(self) -> list[list[Array]]:
         """Return a single threshold of 0 to every pair: a linear gain."""
         return [[np.zeros(min(len(r), 1)) for r in row] for row in self.thresholds_v]
@@ -76,7 +71,8 @@ class Task:
 
     def candidate(self, hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Candidate:
         """Static block and linear block as a model with the delay of the task."""
-        late = dynamics.model_copy(update={"input_delay_s": self.delay_s})
+        delay_s = self.delay_samples * self.records[0].sample_time_s
+        late = dynamics.model_copy(update={"input_delay_s": delay_s})
         return Candidate(hysteresis, late, self.settings.sensor)
 
 

@@ -12,8 +12,7 @@ from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.model_selection import Trial, chosen, fold_squares
-from hammerstein.identification.score import Candidate
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import Candidate, SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import hammerstein
 from hammerstein.commands.cli import app
 from hammerstein.comparison import fitting
-from hammerstein.comparison.in_loop import NAME, fit_in_loop
+from hammerstein.comparison.compare import IN_LOOP as NAME, fit_in_loop
 from hammerstein.dynamics import (
     AxesDynamics,
     Axis,
@@ -31,8 +31,7 @@ from hammerstein.identification.in_loop.search import SettledPeriod
 from hammerstein.identification.in_loop.selection import Selection
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.options import PLAYS
-from hammerstein.identification.score import Candidate
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import Candidate, SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import gain_model
 from hammerstein.records.record import Record

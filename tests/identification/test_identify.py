@@ -13,13 +13,13 @@ from record_cases import plain, plays
 from hammerstein.dynamics import StateSpaceDynamics, StaticDynamics, discretise
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
+from hammerstein.identification.fit_report import UNTOLD, verdict
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
 from hammerstein.identification.score import Candidate, Score, invertibility_of
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import cautious_start, closed, judged_starts
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.verdict import UNTOLD, verdict
 from hammerstein.model import HammersteinModel
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record, run_in

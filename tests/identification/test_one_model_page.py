@@ -11,6 +11,7 @@ from identification.test_in_loop import made_up, multisine
 
 from hammerstein import HammersteinModel
 from hammerstein.identification.model_selection import Trial
+from hammerstein.identification.state_space_candidates import gain_model
 
 PAGE = Path(__file__).parents[2] / "reports" / "measured" / "one_model" / "make.py"
 SECOND = 1.0 / 6400.0
@@ -23,6 +24,12 @@ def one_model(tmp_path, monkeypatch):
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "HERE", tmp_path)
     return module
+
+
+def mirror():
+    """The made-up mirror as a model: nothing precedes its loop."""
+    loop = made_up().dynamics(SECOND)
+    return HammersteinModel("truth", gain_model(np.eye(2)), loop, 1.5, ("u1", "u2"), ("y1", "y2"))
 
 
 def write(folder, parts, error_um=0.0):
@@ -39,7 +46,7 @@ def write(folder, parts, error_um=0.0):
 def test_the_fit_reads_the_training_records_alone(one_model, tmp_path, monkeypatch):
     """Test records are not there; the model and every structure that was tried are written."""
     write(tmp_path, ["train"])
-    truth = made_up().model("truth", SECOND, 1.5, ["u1", "u2"], ["y1", "y2"])
+    truth = mirror()
     tried = [Trial("linear", 9, np.array([4e-4])), Trial("plays", 12, np.array([1e-4]), kept=True)]
     monkeypatch.setattr(
         one_model, "identify_in_loop", lambda *asked, **more: (truth, SimpleNamespace(trials=tried))
@@ -66,7 +73,7 @@ def test_the_table_is_the_error_of_the_test_records(one_model, tmp_path):
     """The truth judges records that stand 0.25 um beside it, and training records that do not."""
     write(tmp_path, ["train"])
     write(tmp_path, ["test"], 0.25)
-    truth = made_up().model("truth", SECOND, 1.5, ["u1", "u2"], ["y1", "y2"])
+    truth = mirror()
     truth.save(tmp_path / "model.json")
     (tmp_path / "trials.json").write_text('{"minutes": 2, "trials": []}')
     (tmp_path / "notes.md").write_text("{table} in {minutes} minutes {structures}")

@@ -23,16 +23,15 @@ from hammerstein.hysteresis import (
     RatePlays,
 )
 from hammerstein.identification.excitation import rates_of_input
+from hammerstein.identification.fit_report import axis_statements
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import several_rates
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
 from hammerstein.identification.output_dynamics import _sure
-from hammerstein.identification.score import Candidate
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import Candidate, SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.verdict import axis_statements
 from hammerstein.records.record import Record
 
 T = 1e-4

@@ -15,18 +15,18 @@ from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, 
 from hammerstein.identification import axes_candidates
 from hammerstein.identification.axes_candidates import dynamics_of
 from hammerstein.identification.excitation import several_rates
+from hammerstein.identification.fit_report import axis_statements
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear import axis_search
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axes, fit_axis
 from hammerstein.identification.linear.axis_search import FirstGuess, checked_delay, refine, search_axes
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.linear.delay import _part_of_a_sample
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.task import Task
-from hammerstein.identification.verdict import axis_statements
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.signals import Multisine, Sine

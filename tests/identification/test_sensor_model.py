@@ -11,7 +11,7 @@ from test_second_order import AXES, SENSOR_HZ, R, T, campaign, record_of
 from hammerstein.comparison.compare import compare
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.identify import identify
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.records.checks import FEWEST_SAMPLES
 from hammerstein.records.record import Record

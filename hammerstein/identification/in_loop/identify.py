@@ -15,18 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hammerstein.blocks.instruments import Instruments
+from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.files import read_limited, write_atomic
-from hammerstein.identification.fit import Fit
+from hammerstein.identification.fit import Fit, Kind
+from hammerstein.identification.fit_report import left_out, model_of, offsets, verdict
 from hammerstein.identification.identify import from_last_rest, given_records
 from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.result import Found, model_so_far, result_of
 from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
 from hammerstein.identification.in_loop.selection import (
     Selection,
     from_one_point,
     settled_periods,
+    start_of,
     with_period,
 )
 from hammerstein.identification.in_loop.start import (
@@ -39,7 +42,10 @@ from hammerstein.identification.in_loop.start import (
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.residual_analysis import record_flags
+from hammerstein.identification.score import Candidate, SensorModel, score
+from hammerstein.identification.state_space_candidates import gain_model, state_space
+from hammerstein.identification.static.static_block import half_swing, swing_ends
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
 from hammerstein.records.record import Record, driven_inputs
@@ -58,6 +64,7 @@ ALIKE = 0.05
 """Part by which the amplitudes of records differ that count as one."""
 EVERY_S = 60.0
 """Between two models that are written while a search goes on."""
+INVERSE = "compensate finds the voltages of a path in passes, and says whether they converge"
 FORMAT = "hammerstein-feedback-search/2"
 WHAT = "file of an interrupted search"
 
@@ -111,10 +118,8 @@ def identify_in_loop(
     settings = settings or LoopSettings()
     given = given_records(records), given_records(validation)
     whole, others = (tuple(map(with_period, some)) for some in given)
-    prompt = (
-        from_last_rest(some, settings.sensor, accept_order=settings.accept_order) if some else ()
-        for some in (whole, others)
-    )
+    begun = partial(from_last_rest, sensor=settings.sensor, accept_order=settings.accept_order)
+    prompt = begun(whole), begun(others) if others else ()
     ready, held = (tuple(map(settings.sensor.freed, some)) for some in from_one_point(*prompt))
     _refuse(ready, held)
 
@@ -135,6 +140,25 @@ def identify_in_loop(
     repeated = sum(map(operator.is_not, itertools.chain(*given), (*whole, *others)))
     notes = [*_notes(ready, repeated), *work.notes()]
     return result_of(found, ready, held, name, settings.sensor, notes)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Result of a search: the loop, the linear dynamics beside it, and every structure that was tried."""
+
+    loop: LoopParameters
+    block: LinearBlock
+    trials: tuple[Trial, ...]
+
+    @property
+    def linear(self) -> Trial:
+        """Linear dynamics on the selection experiments."""
+        return self.trials[0]
+
+    @property
+    def chosen(self) -> Trial:
+        """The chosen structure on the selection experiments, before all experiments were fitted."""
+        return next(trial for trial in self.trials if trial.kept)
 
 
 class _Best(NamedTuple):
@@ -199,7 +223,9 @@ class _Work:
             partial(with_band, low=0.0, high=middle, periods=parts.seen),
             with_products,
         )
-        return Found(self._all(best, periods), block, self._marked(straight, best))
+        tried = (straight, *(stage.trial for stage in self.stages))
+        trials = tuple(replace(trial, kept=trial is best.trial) for trial in tried)
+        return Found(self._all(best, periods), block, trials)
 
     def _of_order(self, block: LinearBlock, parts: Selection) -> _Best:
         """Plays in the loop of linear dynamics of one order.
@@ -251,7 +277,7 @@ class _Work:
         least = min((stage.trial.percent for stage in self.stages), default=np.inf)
         tried = _Best(begun, Trial(begun.describe(), len(begun.vector()), np.array([np.inf])), 0)
 
-        def tell(progress: Progress) -> None:
+        def tell(progress: Progress) -> bool:
             nonlocal tried
             now = parts.of_loop(progress.found, self.pool)
             self.tell(f"{now.name}, step {progress.step}: {now.percent:.3g} % on the selection experiments")
@@ -261,37 +287,27 @@ class _Work:
                     self._show(progress.found)
             late = self._is_late(0.5)
             tried = tried._replace(cut=late)
-            if late or progress.step + 1 - tried.steps >= PATIENCE:
-                raise StopIteration
+            return late or progress.step + 1 - tried.steps >= PATIENCE
 
-        _run(begun, parts.seen, self.pool, tell, Search())
+        Search().run(begun, parts.seen, self.pool, tell)
         return tried._replace(seconds=time.monotonic() - self.begun_s)
 
     def _all(self, best: _Best, periods: Sequence[SettledPeriod]) -> LoopParameters:
         """Fit all experiments with the structure chosen, by as many steps."""
-        found = best.found
 
-        def tell(progress: Progress) -> None:
-            nonlocal found
-            found = progress.found
+        def tell(progress: Progress) -> bool:
             left = float(np.sqrt(np.mean(progress.rms**2)))
             self.tell(f"all experiments, step {progress.step + 1} of {best.steps}: {left:.4g} um")
-            self._show(found)
-            if progress.step + 1 < best.steps and self._is_late():
-                raise StopIteration
+            self._show(progress.found)
+            return progress.step + 1 < best.steps and self._is_late()
 
-        _run(found, periods, self.pool, tell, Search(steps=best.steps))
-        return found
+        return Search(steps=best.steps).run(best.found, periods, self.pool, tell)
 
     def _is_late(self, part: float = 1.0) -> bool:
         """Whether the time is over for what would come next, which a note then says."""
         late = time.monotonic() > self.begun_s + part * 60.0 * self.settings.minutes
         self.late |= late
         return late
-
-    def _marked(self, straight: Trial, best: _Best) -> tuple[Trial, ...]:
-        tried = (straight, *(stage.trial for stage in self.stages))
-        return tuple(replace(trial, kept=trial is best.trial) for trial in tried)
 
     def _show(self, found: LoopParameters) -> None:
         """Write the best model so far, now and then."""
@@ -324,19 +340,6 @@ def _stages(kept: Path, digest: str) -> list[_Best]:
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         raise InputError(str(kept), f"is not a {WHAT}; remove it to start again") from None
     return stages
-
-
-def _run(
-    begun: LoopParameters,
-    periods: Sequence[SettledPeriod],
-    pool: Executor,
-    tell: Callable[[Progress], None],
-    search: Search,
-) -> None:
-    try:
-        search.run(begun, periods, pool, tell)
-    except StopIteration:
-        return
 
 
 def _refuse(records: Sequence[Record], held: Sequence[Record]) -> None:
@@ -383,3 +386,76 @@ def _digest(records: Sequence[Record], order: int | None) -> str:
         told.update(repr((record.sample_time_s, record.period_samples)).encode())
         told.update(record.u_v.tobytes() + record.y_um.tobytes())
     return told.hexdigest()[:16]
+
+
+def result_of(
+    found: Found,
+    records: tuple[Record, ...],
+    held: tuple[Record, ...],
+    name: str,
+    sensor: SensorModel,
+    notes: Sequence[str] = (),
+) -> tuple[HammersteinModel, Fit]:
+    """Model and fit report.
+
+    records, held : fitted and validation records, settled periods counted from one voltage
+    sensor : of the records, which are freed of it
+    notes : on the search
+    """
+    one, straight = records[0], gain_model(np.eye(len(records[0].u_v)))
+    candidates: dict[Kind, Candidate] = {
+        "linear_dynamics": Candidate(straight, state_space(found.block)),
+        "in_loop": Candidate(straight, found.loop.dynamics(one.sample_time_s)),
+    }
+    best, starts, held_starts = candidates["in_loop"], *(tuple(map(start_of, own)) for own in (records, held))
+    fitted = {kind: score(model, records, starts) for kind, model in candidates.items()}
+    judged = {kind: score(model, held, held_starts) for kind, model in candidates.items() if held}
+    flags = tuple(record_flags(best, [*records, *held], [*starts, *held_starts]))
+    swing = half_swing(records)
+    fit = Fit(
+        inputs=one.inputs,
+        outputs=one.outputs,
+        kind="in_loop",
+        fit=fitted,
+        validation=judged,
+        solver="simulated_output",
+        operators=straight.operators,
+        amplitude_v=float(swing.max()),
+        amplitudes_v=tuple(swing.tolist()),
+        voltages=Voltages.of(one.rest_v, *swing_ends(records)),
+        sample_time_s=one.sample_time_s,
+        sensor_bandwidth_hz=sensor.bandwidth_hz,
+        sensor_delay_s=sensor.delay_s,
+        offsets_um=offsets(best, records, starts),
+        starts=starts,
+        held_starts=held_starts,
+        trials=found.trials,
+        order=len(found.loop.B),
+        flags=flags,
+        notes=(*notes, *left_out([*records, *held])),
+        invertible=True,
+        invertibility=INVERSE,
+        verdict=verdict(judged or fitted, bool(judged), flags, kept="in_loop"),
+        candidates=candidates,
+        records=records,
+        held=held,
+    )
+    return model_of(fit, best, name, None), fit
+
+
+def model_so_far(loop: LoopParameters, records: Sequence[Record], name: str) -> HammersteinModel:
+    """Model of a search that goes on, without a verdict; InputError if it is not stable.
+
+    records : fitted records, settled periods counted from one voltage
+    """
+    one = records[0]
+    return HammersteinModel(
+        name=name,
+        hysteresis=gain_model(np.eye(len(one.inputs))),
+        dynamics=loop.dynamics(one.sample_time_s),
+        amplitude_v=float(half_swing(records).max()),
+        inputs=one.inputs,
+        outputs=one.outputs,
+        instruments=Instruments.ideal(one.sample_time_s),
+        voltages=Voltages.of(one.rest_v, *swing_ends(records)),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -13,8 +13,6 @@ from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.dynamics.feedback_hysteresis import FeedbackHysteresisDynamics
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.kernels import follow
-from hammerstein.identification.state_space_candidates import gain_model
-from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
 
 SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "H", "c", "K")
@@ -181,23 +179,6 @@ class LoopParameters:
             products=InputProducts(self.K, self.limit, self.factors),
             **matrices,
         )
-
-    def model(
-        self,
-        name: str,
-        sample_time_s: float,
-        amplitude_v: float,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-    ) -> HammersteinModel:
-        """Return the model of these parameters; nothing precedes the loop.
-
-        amplitude_v : largest voltage of the records [V]
-
-        Raises InputError for a loop that is not stable.
-        """
-        straight, dynamics = gain_model(np.eye(len(inputs))), self.dynamics(sample_time_s)
-        return HammersteinModel(name, straight, dynamics, amplitude_v, tuple(inputs), tuple(outputs))
 
     def describe(self) -> str:
         """Say in few words how large it is."""

@@ -51,11 +51,9 @@ class SettledPeriod(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """A search after so many steps: cost, by how much less than before, and the rms of each period."""
+    """A search after so many steps, and the rms of each period."""
 
     step: int
-    cost: float
-    gained: float
     rms: Array
     found: LoopParameters
 
@@ -81,9 +79,9 @@ class Search:
         start: LoopParameters,
         periods: Sequence[SettledPeriod],
         pool: Executor,
-        tell: Callable[[Progress], None] = lambda progress: None,
+        tell: Callable[[Progress], bool] = lambda progress: False,
     ) -> LoopParameters:
-        """Return the best numbers found; what ``tell`` raises ends the search."""
+        """Return the best numbers found; the search ends where ``tell`` says so, too."""
         found, mu = start, self.damping
         errors = self._errors(found, periods, pool)
         scale = PENALTY * np.sqrt(sum(float((e * e).sum()) for e in errors))
@@ -104,8 +102,7 @@ class Search:
                 return found
             gained, found, cost, mu = (cost - now) / cost, trial, now, max(mu / 5.0, 1e-9)
             rms = [np.sqrt(np.mean((e / p.weight) ** 2)) for e, p in zip(errors, periods, strict=True)]
-            tell(Progress(step, cost, gained, np.array(rms), found))
-            if gained < self.enough:
+            if tell(Progress(step, np.array(rms), found)) or gained < self.enough:
                 break
         return found
 

@@ -24,7 +24,7 @@ from hammerstein.identification.linear.axis_search import (
 )
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of
 from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
 from hammerstein.records.record import Record
 

@@ -35,7 +35,7 @@ from hammerstein.identification.linear.axis_task import (
     duration_s,
 )
 from hammerstein.identification.linear.delay import best_delay
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.identification.static.closed_form import thresholds_uniform_in_voltage
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.initial_state import most_dynamic_segment

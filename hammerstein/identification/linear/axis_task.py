@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hammerstein.arrays import Array
 from hammerstein.dynamics import Axis, CreepMode, LinearBlock
 from hammerstein.dynamics.models import StateMatrices
-from hammerstein.identification.sensor_model import SensorModel
+from hammerstein.identification.score import SensorModel
 from hammerstein.identification.static.normal_equations import Moments, moments_of, pooled
 from hammerstein.identification.static.regressors import (
     MOST_KEPT,
