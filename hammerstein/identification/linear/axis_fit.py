@@ -20,10 +20,10 @@ from hammerstein.identification.linear.axis_search import (
     fit_slopes,
     refine,
     residuals,
-    uniform_grids,
 )
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of
 from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
+from hammerstein.identification.operators import input_grids
 from hammerstein.identification.sensor_model import SensorModel
 from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
 from hammerstein.records.record import Record
@@ -155,7 +155,7 @@ def _with_few_columns(task: AxisTask) -> AxisTask | None:
         return replace(task, kept=few) if task.columns > FEW else None
     if not task.shape.creep_modes or task.columns <= len(task.grids):
         return None
-    return replace(task, grids=uniform_grids(task.records, CREEP_OPERATORS))
+    return replace(task, grids=tuple(input_grids(task.records, CREEP_OPERATORS, "voltage")))
 
 
 def standard_errors(task: AxisTask, point: Point) -> Array:

@@ -255,11 +255,7 @@ class AxisTask:
 
     def sensor_path(self, sample_time_s: float) -> LinearBlock:
         """Discrete path of an axis without dynamics: the sensor alone."""
-        (_, late), one = self.late(sample_time_s), np.ones((1, 1))
-        if self.sensor.bandwidth_hz is None:
-            return held(np.empty((0, 0)), np.empty((0, 1)), np.empty((1, 0)), one, sample_time_s, late)
-        s = 2.0 * math.pi * self.sensor.bandwidth_hz * one
-        return held(-s, s, one, 0.0 * one, sample_time_s, late)
+        return replace(self, shape=AxisShape(False)).path(np.empty(0), sample_time_s)
 
     def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Derivatives:
         """Derivatives of the output by every x_i, for the static block with these slopes."""
@@ -308,22 +304,19 @@ def axis_matrices(shape: AxisShape, x: Array) -> tuple[Array, Array, Array, Arra
     return a, b, c[None], np.full((1, 1), through)
 
 
-def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float, late: float = 0.0) -> LinearBlock:
-    """Block on a sample grid, exact for an input held over each sample: exponential of [[A, B], [0, 0]] T.
+def held_each(blocks: Sequence[StateMatrices], sample_time_s: float, late: float = 0.0) -> list[LinearBlock]:
+    """Blocks on a sample grid, exact for an input held over each sample: exponential of [[A, B], [0, 0]] T.
 
-    The input comes a part ``late`` of a sample late, as in ``LinearBlock.held``.
+    All have as many states and inputs. The input comes a part ``late`` of a sample late, as in
+    ``LinearBlock.held``.
 
     Examples
     --------
     >>> one = np.ones((1, 1))
-    >>> abs(float(held(-one, one, one, 0.0 * one, 1.0).A[0, 0]) - math.exp(-1.0)) < 1e-15
+    >>> [block] = held_each([(-one, one, one, 0.0 * one)], 1.0)
+    >>> abs(float(block.A[0, 0]) - math.exp(-1.0)) < 1e-15
     True
     """
-    return held_each([(a, b, c, d)], sample_time_s, late)[0]
-
-
-def held_each(blocks: Sequence[StateMatrices], sample_time_s: float, late: float = 0.0) -> list[LinearBlock]:
-    """What ``held`` gives of each block; all have as many states and inputs."""
     if late:
         begins = held_each(blocks, late * sample_time_s)
         ends = held_each(blocks, (1.0 - late) * sample_time_s)

@@ -199,9 +199,9 @@ class Regressors:
     @classmethod
     def of(cls, u_v: Array, start: InitialState, grids: Sequence[Array], rows: Array) -> Regressors:
         """Sums ``rows`` (column, regressor) of the differences of the plays."""
-        values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, replace(start, first=0), grids)])
-        plays = [start.plays_v(float(u[0]), r, k) for k, (u, r) in enumerate(zip(u_v, grids, strict=True))]
-        return cls(values, rows @ _held(plays, None))
+        columns = PlayColumns.of(u_v, start, grids)
+        values = np.hstack([rows @ x for _, x in behind_filters(columns, replace(start, first=0), ())])
+        return cls(values, rows @ columns.held)
 
     @cached_property
     def moving(self) -> tuple[NDArray[np.intp], Regressors]:
@@ -216,16 +216,10 @@ class Regressors:
         values = np.roll(self.values, delay_samples, axis=1) if delay_samples else self.values
         if delay_samples and start.kind != "repeated":
             values[:, :delay_samples] = self.values[:, :1] if start.held else self.held[:, None]
-        states = [block.settled(self.held) for block in filters]
-        if start.kind == "repeated":
-            _filtered(values, filters, states)
-        elif start.held:
-            _filtered(np.repeat(values[:, :1], start.held, axis=1), filters, states)
-        for k in range(0, values.shape[1], BLOCK):
-            passed = _filtered(values[:, k : k + BLOCK], filters, states)
-            skip = max(start.first - k, 0)
-            if skip < passed.shape[1]:
-                yield k + skip, passed[:, skip:]
+        before: tuple[Array, ...] = (np.repeat(values[:, :1], start.held, axis=1),) if start.held else ()
+        before = (values,) if start.kind == "repeated" else before
+        counted = ((k, values[:, k : k + BLOCK]) for k in range(0, values.shape[1], BLOCK))
+        return behind_filters(PlayColumns(self.held, before, counted), start, filters)
 
 
 def _filtered(columns: Array, filters: Sequence[Filter], states: list[NDArray[Any]]) -> Array:
