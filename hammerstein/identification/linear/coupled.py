@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,8 @@ from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.score import begun
-from hammerstein.identification.static.normal_equations import Bounds, Moments, moments_of, pooled, solve
-from hammerstein.identification.static.regressors import InitialState, regressor_blocks
+from hammerstein.identification.static.normal_equations import Bounds, Moments, pooled, solve
+from hammerstein.identification.static.regressors import InitialState, PlayColumns
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
     SquaresSolver,
@@ -26,6 +27,7 @@ from hammerstein.identification.static.static_block import (
     as_block,
     bounds_of,
     gains_of,
+    record_moments,
     refuse_unreached,
     ridge_of,
 )
@@ -195,23 +197,14 @@ def _moments(
     records: Sequence[Record], starts: Sequence[InitialState], layout: SlopeColumns, through: LinearBlock
 ) -> list[Moments]:
     """Moments of each output with the columns of all outputs of the static block."""
-    p, columns = len(records[0].y_um), sum(map(len, layout.grids))
-    moments = []
-    for o in range(p):
-        filters = [ModalCopies.of(through, o, k) for k in range(p)]
-        parts = [
-            moments_of(_blocks(record, start, layout, filters, o), p * columns, 1)
-            for record, start in zip(records, starts, strict=True)
-        ]
-        moments.append(pooled(parts))
-    return moments
-
-
-def _blocks(
-    record: Record, start: InitialState, layout: SlopeColumns, filters: Sequence[ModalCopies], o: int
-) -> Iterator[tuple[Array, Array]]:
-    for k, x in regressor_blocks(record.u_v, start, layout.grids, filters):
-        yield x, record.y_um[[o], k : k + x.shape[1]]
+    outputs = range(len(records[0].y_um))
+    filters = [[ModalCopies.of(through, o, k) for k in outputs] for o in outputs]
+    held = np.ones(len(outputs) * sum(map(len, layout.grids)), dtype=np.bool_)
+    parts = []
+    for record, start in zip(records, starts, strict=True):
+        plays = partial(PlayColumns.of, record.u_v, start, layout.grids)
+        parts.append(record_moments(record, start, plays, filters, held))
+    return [pooled(part) for part in zip(*parts, strict=True)]
 
 
 def _block_diagonal(matrices: Sequence[Array]) -> Array:

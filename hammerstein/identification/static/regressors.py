@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, ByValue
 from hammerstein.dynamics import LinearBlock
 from hammerstein.hysteresis import play
 from hammerstein.records.record import Record
@@ -298,7 +298,7 @@ def _closure(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.b
 
 
 @dataclass(frozen=True, eq=False)
-class SideBySide:
+class SideBySide(ByValue):
     """Copies of a path with one input and one output, one for each column."""
 
     path: LinearBlock

@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
-from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
+from hammerstein.identification.static.normal_equations import Moments, coefficients, squares_left
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit, half_swing, static_moments
 from hammerstein.identification.static.threshold_exchange import LEAST_GAP, exchanged, finer, losses, price
@@ -72,39 +71,8 @@ class ThresholdTask:
 
         Plays of inputs that rest in a record are excluded from its sums.
         """
-        driven = [
-            tuple(bool(np.ptp(u) > 0.0 or (start.kind == "rest" and u[0] != 0.0)) for u in record.u_v)
-            for record, start in zip(self.records, self.starts, strict=True)
-        ]
-        parts = [self._of_driven(grids, kind, driven, with_derivatives) for kind in dict.fromkeys(driven)]
-        return [pooled(part) for part in zip(*parts, strict=True)]
-
-    def _of_driven(
-        self, grids: Sequence[Array], kind: tuple[bool, ...], driven: list[tuple[bool, ...]], both: bool
-    ) -> list[Moments]:
-        """Moments of the records in which certain inputs are driven."""
-        own = [i for i, each in enumerate(driven) if each == kind]
-        parts = static_moments(
-            [self.records[i] for i in own],
-            [grid if moves else grid[:0] for grid, moves in zip(grids, kind, strict=True)],
-            [self.starts[i] for i in own],
-            self.delay_samples,
-            [self.through[i] for i in own] if self.through else None,
-            with_derivatives=both,
-            every=self.every,
-        )
-        held = np.repeat(kind, [len(grid) for grid in grids])
-        return [_spread(part, np.tile(held, 1 + both)) for part in parts]
-
-
-def _spread(moment: Moments, held: NDArray[np.bool_]) -> Moments:
-    """Moments of one output with columns of zeros where none was held."""
-    n = len(held)
-    gram, cross = np.zeros((n, n)), np.zeros((n, 1))
-    means = np.zeros((len(moment.means), n + 1))
-    gram[np.ix_(held, held)], cross[held] = moment.gram, moment.cross
-    means[:, np.append(held, True)] = moment.means
-    return Moments(gram, cross, moment.power, moment.samples, means)
+        known = self.records, grids, self.starts, self.delay_samples, self.through
+        return static_moments(*known, with_derivatives=with_derivatives, every=self.every, driven=True)
 
 
 @dataclass(frozen=True, eq=False)
