@@ -16,7 +16,6 @@ from hammerstein.identification.linear.frequency_response import FrequencyRespon
 from hammerstein.identification.linear.refinement import (
     Matrices,
     WeightedLines,
-    _normal_equations,
     _Place,
     refine,
     split,
@@ -134,7 +133,7 @@ def test_many_lines_are_handled_in_pieces(monkeypatch: pytest.MonkeyPatch) -> No
 
 def sums(lines: WeightedLines, model: Matrices) -> list[Array]:
     blocks = split(model)
-    return [np.array([lines.cost(model), blocks.cost(lines)]), *_normal_equations(lines, blocks)]
+    return [np.array([lines.cost(model), blocks.cost(lines)]), *_Place(blocks, lines, 0.0).normal_equations]
 
 
 def test_a_long_record() -> None:
@@ -258,7 +257,7 @@ def test_the_jacobian_is_that_of_finite_differences(whole: bool) -> None:
     assert [part.stop - part.start for part in blocks.parts] == [2, 2, 1]
     if whole:
         blocks = replace(blocks, model=start, parts=(slice(0, 5),))
-    gradient = _normal_equations(lines, blocks)[1]
+    gradient = _Place(blocks, lines, 0.0).normal_equations[1]
     for i, step in enumerate(1e-6 * np.eye(len(gradient))):
         slope = (blocks.moved(step).cost(lines) - blocks.moved(-step).cost(lines)) / 2e-6
         assert 2.0 * gradient[i] == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.abs(gradient).max())

@@ -259,18 +259,10 @@ def fit_axes(
     progress : called with the current step
     """
     tell = progress or (lambda _: None)
+    known = tuple(records), tuple(starts), tuple(grids)
+    late = guess.delay_samples, sensor or SensorModel(), every
     fits = []
     for o, (shape, begin) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
         tell(f"fitting the axis {records[0].outputs[o]}")
-        task = AxisTask(
-            tuple(records),
-            tuple(starts),
-            tuple(grids),
-            o,
-            shape,
-            guess.delay_samples,
-            sensor or SensorModel(),
-            every,
-        )
-        fits.append(fit_axis(task, begin))
+        fits.append(fit_axis(AxisTask(*known, o, shape, *late), begin))
     return AxesFit(tuple(fits), guess.delay_samples)

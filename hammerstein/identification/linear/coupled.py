@@ -145,7 +145,8 @@ def fit_static_coupled(
     outputs = _moments(records, starts, layout, through)
     joint = _Joint.of(layout, outputs)
     penalty = joint.ridge(ridge) if ridge > 0.0 else None
-    free = found = solve(joint.gram, joint.cross, float(len(outputs)), joint.freedom, penalty=penalty)
+    known = joint.gram, joint.cross, float(len(outputs)), joint.freedom
+    free = found = solve(*known, penalty=penalty)
     if solver != "least_squares":
         gains = gains_of(records, thresholds_v, layout, [free.coefficients[s] for s in joint.own])
         each = [bounds_of(solver, layout, o, gains) for o in range(len(outputs))]
@@ -154,9 +155,7 @@ def fit_static_coupled(
             np.concatenate([b.side for b in each]),
             np.concatenate([b.bound for b in each]),
         )
-        found = solve(
-            joint.gram, joint.cross, float(len(outputs)), joint.freedom, bounds=bounds, penalty=penalty
-        )
+        found = solve(*known, bounds=bounds, penalty=penalty)
     c = joint.merge @ found.coefficients
     left = [(m.power[0] - 2.0 * m.cross[:, 0] @ c + c @ m.gram @ c) / m.freedom for m in outputs]
     rms_um = np.sqrt(np.maximum(left, 0.0)).tolist()

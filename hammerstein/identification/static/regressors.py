@@ -240,12 +240,15 @@ def _blocks(
 
     ``plays`` and ``signs`` hold the memory from block to block.
     """
+    from hammerstein.hysteresis.play_kernels import threshold_derivatives
+
     for k in range(0, u_v.shape[1], BLOCK):
         rows, moved = [], []
         for i, grid in enumerate(grids):
             outputs = _played(u_v[i, k : k + BLOCK], grid, plays[i])
             if signs is not None:
-                moved.append(_derivatives(outputs, plays[i], signs[i]))
+                moved.append(np.empty_like(outputs))
+                threshold_derivatives(outputs, plays[i], signs[i], moved[-1])
             plays[i] = outputs[:, -1].copy()
             outputs[:-1] -= outputs[1:]
             rows.append(outputs)
@@ -257,15 +260,6 @@ def _played(u: Array, grid: Array, before: Array) -> Array:
     if (u[0] - grid <= before).all() and (before <= u[0] + grid).all() and (u == u[0]).all():
         return np.repeat(before[:, None], len(u), axis=1)
     return play(u, grid, before)
-
-
-def _derivatives(outputs: Array, before: Array, signs: Array) -> Array:
-    """Derivatives (operator, sample) of plays by their thresholds; ``signs`` is carried on."""
-    from hammerstein.hysteresis.play_kernels import threshold_derivatives
-
-    derivatives = np.empty_like(outputs)
-    threshold_derivatives(outputs, before, signs, derivatives)
-    return derivatives
 
 
 def channel(block: LinearBlock, output: int, input_: int) -> LinearBlock | None:
