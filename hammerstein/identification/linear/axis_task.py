@@ -24,7 +24,6 @@ from hammerstein.identification.static.regressors import (
     SideBySide,
     behind_filters,
     delayed,
-    regressor_blocks,
 )
 from hammerstein.quantities import RESONANCE_HZ, TIME_CONSTANT_S, number_of
 from hammerstein.records.record import Record
@@ -182,35 +181,25 @@ class AxisTask:
 
     def blocks(self, number: int, filters: Sequence[Filter]) -> Iterator[tuple[int, Array]]:
         """First sample and columns of each block of a record behind the filters."""
+        return behind_filters(self._columns(number), self.starts[number], filters)
+
+    def _columns(self, number: int) -> PlayColumns:
+        """Columns of a record before any filter."""
         record, start = self.records[number], self.starts[number]
         whole, _ = self.late(record.sample_time_s)
         if self.kept:
-            return self.kept[number].blocks(start, whole, filters)
-        return regressor_blocks(delayed(record, start, whole), start, self.grids, filters)
+            return self.kept[number].late(start, whole)
+        return PlayColumns.of(delayed(record, start, whole), start, self.grids)
 
     @cached_property
-    def _plays(self) -> tuple[tuple[NDArray[np.intp], PlayColumns], ...]:
-        """Differences of plays that move, for every step; none where they would fill the memory."""
-        if self.columns * sum(record.samples for record in self.records) > MOST_KEPT:
-            return ()
-        late = [self.late(record.sample_time_s)[0] for record in self.records]
-        return tuple(
-            PlayColumns.of(delayed(record, start, whole), start, self.grids).moving()
-            for record, start, whole in zip(self.records, self.starts, late, strict=True)
-        )
+    def _moving(self) -> tuple[tuple[NDArray[np.intp], PlayColumns], ...]:
+        """Columns of each record that move, often those of one input, and their numbers, for every step.
 
-    def _moving(
-        self, number: int, filters: Sequence[ByColumn]
-    ) -> tuple[NDArray[np.intp] | None, Iterator[tuple[int, Array]]]:
-        """Numbers of the columns of a record that move, and ``blocks`` of them: often one input rests."""
-        start = self.starts[number]
-        if not (self.kept or self._plays):
-            return None, self.blocks(number, filters)
-        own, columns = self.kept[number].moving if self.kept else self._plays[number]
-        few = [one.among(own) if isinstance(one, Derivatives) else one for one in filters]
-        if isinstance(columns, PlayColumns):
-            return own, behind_filters(columns, start, few)
-        return own, columns.blocks(start, self.late(self.records[number].sample_time_s)[0], few)
+        None where they would fill the memory.
+        """
+        if not self.kept and self.columns * sum(record.samples for record in self.records) > MOST_KEPT:
+            return ()
+        return tuple(self._columns(i).moving() for i in range(len(self.records)))
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -268,9 +257,12 @@ class AxisTask:
         parts = []
         for i, record in enumerate(self.records):
             y, step = record.y_um[[self.output]], self.every
-            own, blocks = self._moving(i, built[record.sample_time_s])
+            own, held = self._moving[i] if self._moving else (np.arange(self.columns), self._columns(i))
+            passed = built[record.sample_time_s]
+            few = [one.among(own) if isinstance(one, Derivatives) else one for one in passed]
+            blocks = behind_filters(held, self.starts[i], few)
             counted = ((c[:, ::step], y[:, k : k + c.shape[1] : step]) for k, c in blocks)
-            numbers = None if own is None else np.append(own, np.arange(self.columns, columns))
+            numbers = np.append(own, np.arange(self.columns, columns))
             parts.append(moments_of(counted, columns, 1, numbers))
         return pooled(parts)
 
