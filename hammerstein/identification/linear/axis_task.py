@@ -85,12 +85,9 @@ class Derivatives:
     @cached_property
     def _matrices(self) -> tuple[Array, Array, Array, Array]:
         """Matrices of all paths, four side by side."""
-        return (
-            self._side_by_side([path.A for path in self.paths]),
-            self._side_by_side([path.B[:, 0] for path in self.paths]),
-            self._side_by_side([path.C[0] for path in self.paths]),
-            self._side_by_side([path.D[0, 0] for path in self.paths]),
-        )
+        each = [(path.A, path.B[:, 0], path.C[0], path.D[0, 0]) for path in self.paths]
+        a, b, c, d = map(self._side_by_side, zip(*each, strict=True))
+        return a, b, c, d
 
     @cached_property
     def _of_one(self) -> Array:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -32,8 +32,6 @@ from hammerstein.identification.static.static_block import (
     ridge_of,
 )
 from hammerstein.records.record import Record
-
-Modes = Complex
 
 
 def measured_response(records: Sequence[Record], v_um: Sequence[Array] | None = None) -> FrequencyResponse:
@@ -99,9 +97,9 @@ class ModalCopies:
     poles, residues_in, residues_out : (mode,) one of each conjugate pair; through : direct gain
     """
 
-    poles: Modes
-    residues_in: Modes
-    residues_out: Modes
+    poles: Complex
+    residues_in: Complex
+    residues_out: Complex
     through: float
 
     @classmethod
@@ -114,11 +112,11 @@ class ModalCopies:
         twice = np.where(poles.imag > 0.0, 2.0, 1.0)
         return cls(poles[upper], b[upper], (twice * c)[upper], float(block.D[output, input_]))
 
-    def settled(self, columns: Array) -> Modes:
+    def settled(self, columns: Array) -> Complex:
         """State (copy, mode) of paths that were held at their column for ever."""
         return np.asarray(np.outer(columns, self.residues_in / (1.0 - self.poles)), dtype=np.complex128)
 
-    def respond(self, columns: Array, start: Modes) -> tuple[Array, Modes]:
+    def respond(self, columns: Array, start: Complex) -> tuple[Array, Complex]:
         """Outputs (copy, sample) and the state after them."""
         from hammerstein.dynamics.path_kernel import respond_modes
 
@@ -143,53 +141,38 @@ def fit_static_coupled(
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(records, layout.grids)
     outputs = _moments(records, starts, layout, through)
-    joint = _Joint.of(layout, outputs)
-    penalty = joint.ridge(ridge) if ridge > 0.0 else None
-    known = joint.gram, joint.cross, float(len(outputs)), joint.freedom
+    merge, freedom = np.asarray(block_diag(*layout.merge)), sum(moment.freedom for moment in outputs)
+    gram, cross = _joint(merge, outputs)
+    ends = np.cumsum([0, *(row[-1].stop for row in layout.parts)]).tolist()
+    own = [slice(*both) for both in itertools.pairwise(ends)]  # unknowns of each output
+    ridges = [ridge_of(row, gram[s, s], ridge) for row, s in zip(layout.parts, own, strict=True)]
+    penalty = np.asarray(block_diag(*ridges)) if ridge > 0.0 else None
+    known = gram, cross, float(len(outputs)), freedom
     free = found = solve(*known, penalty=penalty)
     if solver != "least_squares":
-        gains = gains_of(records, thresholds_v, layout, [free.coefficients[s] for s in joint.own])
+        gains = gains_of(records, thresholds_v, layout, [free.coefficients[s] for s in own])
         each = [bounds_of(solver, layout, o, gains) for o in range(len(outputs))]
         bounds = Bounds(
-            _block_diagonal([b.basis for b in each]),
+            np.asarray(block_diag(*[b.basis for b in each])),
             np.concatenate([b.side for b in each]),
             np.concatenate([b.bound for b in each]),
         )
         found = solve(*known, bounds=bounds, penalty=penalty)
-    c = joint.merge @ found.coefficients
+    c = merge @ found.coefficients
     left = [(m.power[0] - 2.0 * m.cross[:, 0] @ c + c @ m.gram @ c) / m.freedom for m in outputs]
     rms_um = np.sqrt(np.maximum(left, 0.0)).tolist()
-    solutions = [found.of_output(*own) for own in zip(joint.own, rms_um, strict=True)]
-    without = [free.of_output(*own) for own in zip(joint.own, rms_um, strict=True)]
+    solutions = [found.of_output(*both) for both in zip(own, rms_um, strict=True)]
+    without = [free.of_output(*both) for both in zip(own, rms_um, strict=True)]
     offsets_um = np.column_stack([m.means[:, -1] - m.means[:, :-1] @ c for m in outputs])
     return as_block(thresholds_v, layout, without, solutions, offsets_um, outputs[0].samples)
 
 
-class _Joint(NamedTuple):
-    """One problem for the slopes of all outputs; ``own[o]`` are the unknowns of output o."""
-
-    layout: SlopeColumns
-    merge: Array
-    gram: Array
-    cross: Array
-    freedom: int
-    own: tuple[slice, ...]
-
-    @classmethod
-    def of(cls, layout: SlopeColumns, outputs: Sequence[Moments]) -> _Joint:
-        merge = _block_diagonal(layout.merge)
-        weight = [1.0 / max(float(moment.power[0]), np.finfo(float).tiny) for moment in outputs]
-        gram = np.sum([w * m.gram for w, m in zip(weight, outputs, strict=True)], axis=0)
-        cross = np.sum([w * m.cross[:, 0] for w, m in zip(weight, outputs, strict=True)], axis=0)
-        ends = np.cumsum([merged.shape[1] for merged in layout.merge]).tolist()
-        own = tuple(slice(e - merged.shape[1], e) for e, merged in zip(ends, layout.merge, strict=True))
-        freedom = sum(moment.freedom for moment in outputs)
-        return cls(layout, merge, merge.T @ gram @ merge, merge.T @ cross, freedom, own)
-
-    def ridge(self, ridge: float) -> Array:
-        """Penalty of the weights of all outputs."""
-        parts = self.layout.parts
-        return _block_diagonal([ridge_of(parts[o], self.gram[s, s], ridge) for o, s in enumerate(self.own)])
+def _joint(merge: Array, outputs: Sequence[Moments]) -> tuple[Array, Array]:
+    """Moments of one problem for the slopes of all outputs: with each other, and with the readings."""
+    weight = [1.0 / max(float(moment.power[0]), np.finfo(float).tiny) for moment in outputs]
+    gram = np.sum([w * m.gram for w, m in zip(weight, outputs, strict=True)], axis=0)
+    cross = np.sum([w * m.cross[:, 0] for w, m in zip(weight, outputs, strict=True)], axis=0)
+    return merge.T @ gram @ merge, merge.T @ cross
 
 
 def _moments(
@@ -204,7 +187,3 @@ def _moments(
         plays = partial(PlayColumns.of, record.u_v, start, layout.grids)
         parts.append(record_moments(record, start, plays, filters, held))
     return [pooled(part) for part in zip(*parts, strict=True)]
-
-
-def _block_diagonal(matrices: Sequence[Array]) -> Array:
-    return np.asarray(block_diag(*matrices))

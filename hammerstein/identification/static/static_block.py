@@ -167,14 +167,17 @@ def static_moments(
     """
     p, sizes = len(records[0].y_um), [len(grid) for grid in grids]
     blocks = [through] * len(records) if isinstance(through, LinearBlock) else through or ()
-    parts = []
+    # records that drive the same inputs are summed first: another order rounds otherwise, and a search of
+    # thresholds may then take another way
+    alike: dict[tuple[bool, ...], list[list[Moments]]] = {}
     for i, (record, start) in enumerate(zip(records, starts, strict=True)):
-        moves = [not driven or _is_driven(u, start) for u in record.u_v]
+        moves = tuple(not driven or _is_driven(u, start) for u in record.u_v)
         own = [grid if moved else grid[:0] for grid, moved in zip(grids, moves, strict=True)]
         plays = partial(PlayColumns.of, delayed(record, start, delay_samples), start, own, with_derivatives)
         filters = [path_filters(blocks, i, o, p) for o in range(p)]
         held = np.tile(np.repeat(moves, sizes), 1 + with_derivatives)
-        parts.append(record_moments(record, start, plays, filters, held, every))
+        alike.setdefault(moves, []).append(record_moments(record, start, plays, filters, held, every))
+    parts = [[pooled(part) for part in zip(*own, strict=True)] for own in alike.values()]
     return [pooled(part) for part in zip(*parts, strict=True)]
 
 
@@ -316,28 +319,22 @@ def gains_of(
 
 
 def bounds_of(solver: SquaresSolver, layout: SlopeColumns, o: int, gains: Array) -> Bounds:
-    """Bounds of the slopes of one output under a solver."""
-    return _nonnegative(layout, o, gains) if solver == "nonnegative" else _invertible(layout, o, gains)
+    """Bounds of the slopes of one output under a solver.
 
-
-def _nonnegative(layout: SlopeColumns, o: int, gains: Array) -> Bounds:
-    """All weights of a pair have the sign of its gain."""
-    side = np.zeros(layout.parts[o][-1].stop)
-    for part, gain in zip(layout.parts[o], gains[o], strict=True):
-        side[part] = 1.0 if gain >= 0.0 else -1.0
-    sums = np.asarray(np.linalg.inv(_differences(layout.parts[o])))
-    return Bounds(sums, side, np.zeros_like(side))
-
-
-def _invertible(layout: SlopeColumns, o: int, gains: Array) -> Bounds:
-    """Slopes of the direct pair keep its sign and stay away from zero."""
-    size = layout.parts[o][-1].stop
-    side, bound = np.zeros(size), np.zeros(size)
+    ``nonnegative``: all weights of a pair have the sign of its gain. ``invertible``: the slopes of the direct
+    pair keep its sign and stay away from zero.
+    """
+    parts = layout.parts[o]
+    side, bound = np.zeros((2, parts[-1].stop))
+    if solver == "nonnegative":
+        for part, gain in zip(parts, gains[o], strict=True):
+            side[part] = 1.0 if gain >= 0.0 else -1.0
+        return Bounds(np.asarray(np.linalg.inv(_differences(parts))), side, bound)
     for output, k in direct_pairs(gains):
         if output == o:
-            side[layout.parts[o][k]] = 1.0 if gains[o, k] > 0.0 else -1.0
-            bound[layout.parts[o][k]] = LEAST_SLOPE * gains[o, k]
-    return Bounds(np.eye(size), side, bound)
+            side[parts[k]] = 1.0 if gains[o, k] > 0.0 else -1.0
+            bound[parts[k]] = LEAST_SLOPE * gains[o, k]
+    return Bounds(np.eye(len(side)), side, bound)
 
 
 def direct_pairs(gains: Array) -> list[tuple[int, int]]:

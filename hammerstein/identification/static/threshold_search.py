@@ -61,11 +61,6 @@ class ThresholdTask:
     through: Sequence[LinearBlock] = ()
     every: int = 1
 
-    @property
-    def reach_v(self) -> Array:
-        """Largest half swing of each input (input,) [V]."""
-        return half_swing(self.records)
-
     def moments(self, grids: Sequence[Array], *, with_derivatives: bool) -> list[Moments]:
         """Moments of each output with the differences of the plays, and their derivatives on request.
 
@@ -146,7 +141,7 @@ def search_near(
     here, idle = place_at(task, grids, unit), 0
 
     def step(here: Linearised, damping: float) -> Linearised:
-        return place_at(task, here.step(damping, task.reach_v), here.unit)
+        return place_at(task, here.step(damping, half_swing(task.records)), here.unit)
 
     for tried in islice(steps(here, step, lambda place: place.cost, DAMPING), MOST_STEPS):
         here, gain = tried.best, tried.before.criterion - tried.best.criterion
@@ -223,9 +218,9 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
     >>> fit_thresholds(ThresholdTask([record], [InitialState("rest")]), [np.array([1.0, 2.0])])[0].round(6)
     array([0.3, 1.7])
     """
-    here = place_at(task, tuple(grids))
+    here, reach_v = place_at(task, tuple(grids)), half_swing(task.records)
     for _ in range(rounds if any(grid.size for grid in grids) else 0):
-        fine = [finer(grid, float(top)) for grid, top in zip(here.grids, task.reach_v, strict=True)]
+        fine = [finer(grid, float(top)) for grid, top in zip(here.grids, reach_v, strict=True)]
         moments = task.moments(fine, with_derivatives=False)
         there = search_near(task, exchanged(moments, fine, here.grids, here.unit), here.unit)
         gain = here.criterion - there.criterion
@@ -270,7 +265,7 @@ def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
             slopes = split(coefficients(moment.gram, moment.cross[:, 0]), grids)
             gains = [
                 float(np.diff(own, prepend=0.0) @ (top - r)) / top if r.size else 0.0
-                for own, r, top in zip(slopes, grids, task.reach_v, strict=True)
+                for own, r, top in zip(slopes, grids, half_swing(task.records), strict=True)
             ]
             largest = max(*map(abs, gains), np.finfo(float).tiny)
             steepness = np.maximum(steepness, np.abs(np.concatenate(slopes)) / largest)
