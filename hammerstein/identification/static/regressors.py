@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hammerstein.arrays import Array, ByValue
 from hammerstein.dynamics import LinearBlock
 from hammerstein.hysteresis import play
+from hammerstein.hysteresis.pair import played
 from hammerstein.records.record import Record
 
 BLOCK = 8192
@@ -58,23 +59,12 @@ class InitialState:
     turn_v: tuple[tuple[float, float], ...] = ()
     held: int = 0
 
-    def plays_v(self, first_v: float, thresholds_v: Array, input_: int) -> Array:
-        """Outputs of the plays of one input before the record (operator,) [V].
-
-        Parameters
-        ----------
-        first_v : first voltage of the record [V]
-        thresholds_v : of the plays [V]
-        input_ : number of the input, from 0
-        """
-        r = np.asarray(thresholds_v, dtype=np.float64)
+    def path_v(self, u_v: Array) -> Array:
+        """Voltages (input, turn) that went before others (input, sample) [V]; the last was held."""
         if self.kind in ("rest", "repeated"):
-            return np.zeros(len(r))
-        middle, turn = self.turn_v[input_]
-        held = np.maximum(turn - r, np.minimum(turn + r, middle))
-        if self.kind == "stepped":
-            return np.asarray(held)
-        return np.asarray(np.maximum(first_v - r, np.minimum(first_v + r, held)))
+            return np.zeros((len(u_v), 1))
+        turns = np.array(self.turn_v)
+        return turns if self.kind == "stepped" else np.column_stack([turns, u_v[:, 0]])
 
 
 def delayed(record: Record, start: InitialState, samples: int) -> Array:
@@ -82,12 +72,8 @@ def delayed(record: Record, start: InitialState, samples: int) -> Array:
     if samples == 0:
         return record.u_v
     u = np.roll(record.u_v, samples, axis=1)
-    if start.kind == "rest":
-        u[:, :samples] = 0.0
-    elif start.kind == "stepped":
-        u[:, :samples] = record.u_v[:, :1] if start.held else np.array(start.turn_v)[:, 1:]
-    elif start.kind == "turned":
-        u[:, :samples] = record.u_v[:, :1]
+    if start.kind != "repeated":
+        u[:, :samples] = record.u_v[:, :1] if start.held else start.path_v(record.u_v)[:, -1:]
     return u
 
 
@@ -131,8 +117,7 @@ class PlayColumns(NamedTuple):
         cls, u_v: Array, start: InitialState, grids: Sequence[Array], with_derivatives: bool = False
     ) -> PlayColumns:
         """Columns that are made when asked for, those before the record first."""
-        each = enumerate(zip(u_v, grids, strict=True))
-        plays = [start.plays_v(float(u[0]), grid, k) for k, (u, grid) in each]
+        plays = [played(path, grid) for path, grid in zip(start.path_v(u_v), grids, strict=True)]
         signs = _first_signs(u_v, plays, grids) if with_derivatives else None
         held = _held(plays, signs)
         before: Iterable[Array] = ()
