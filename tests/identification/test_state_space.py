@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
+from hammerstein.arrays import transfer
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear import refinement
@@ -34,7 +35,7 @@ def output_error_percent(block: LinearBlock, response: FrequencyResponse) -> Arr
     100 sqrt( sum of (G - G_measured) S_uu (G - G_measured)^H + residue  /  sum of output power )
     """
     z = np.exp(2j * np.pi * response.frequency_hz * block.sample_time_s)
-    error = Matrices(block.A, block.B, block.C, block.D).at(z).transpose(1, 2, 0) - response.response
+    error = transfer(block.A, block.B, block.C, block.D, z).transpose(1, 2, 0) - response.response
     power = np.einsum("ijf,jkf,ikf->if", error, response.input_power, error.conj()).real
     left = np.sum(power + response.residual_power, axis=1)
     return np.asarray(100.0 * np.sqrt(left / response.output_power.sum(axis=1)))

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from hammerstein.arrays import Array, Complex
-from hammerstein.dynamics import LinearBlock
+from hammerstein.dynamics import LinearBlock, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
 from hammerstein.identification.linear.state_space import fit_state_space
-from hammerstein.identification.score import begun
+from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.normal_equations import Bounds, Moments, pooled, solve
 from hammerstein.identification.static.regressors import InitialState, PlayColumns
 from hammerstein.identification.static.static_block import (
@@ -83,10 +83,8 @@ def refit_linear(
     progress: Callable[[str], None] | None = None,
 ) -> LinearBlock:
     """State-space model behind a static block that is known."""
-    outputs = []
-    for record, start in zip(records, starts, strict=True):
-        v, memory = hysteresis.respond(record.u_v, begun(hysteresis, record, start))
-        outputs.append(hysteresis.respond(record.u_v, memory)[0] if start.kind == "repeated" else v)
+    static = Candidate(hysteresis, StaticDynamics(n_outputs=hysteresis.n_outputs))
+    outputs = [static.predict(record, start) for record, start in zip(records, starts, strict=True)]
     return fit_state_space(measured_response(records, outputs), order, progress=progress)
 
 
