@@ -194,7 +194,10 @@ class AxisTask:
 
         None where they would fill the memory.
         """
-        if not self.kept and self.columns * sum(record.samples for record in self.records) > MOST_KEPT:
+        if self.kept:
+            few = replace(self, kept=tuple(one.moving[1] for one in self.kept))
+            return tuple((one.moving[0], few._columns(i)) for i, one in enumerate(self.kept))
+        if self.columns * sum(record.samples for record in self.records) > MOST_KEPT:
             return ()
         return tuple(self._columns(i).moving() for i in range(len(self.records)))
 

@@ -194,14 +194,20 @@ class Regressors:
         """First sample and rows of each block from ``start.first`` on, behind the filters and a delay."""
         return behind_filters(self.late(start, delay_samples), start, filters)
 
+    @cached_property
+    def moving(self) -> tuple[NDArray[np.intp], Regressors]:
+        """Numbers of the columns that are not zero all the time, and these alone."""
+        own = np.flatnonzero(self.values.any(axis=1) | (self.held != 0.0))
+        return own, Regressors(self.values[own], self.held[own])
+
     def late(self, start: InitialState, delay_samples: int) -> PlayColumns:
-        """Blocks of the columns behind a delay."""
+        """Blocks of the columns behind a delay, which can be gone through many times."""
         values = np.roll(self.values, delay_samples, axis=1) if delay_samples else self.values
         if delay_samples and start.kind != "repeated":
             values[:, :delay_samples] = self.values[:, :1] if start.held else self.held[:, None]
         before: tuple[Array, ...] = (np.repeat(values[:, :1], start.held, axis=1),) if start.held else ()
         before = (values,) if start.kind == "repeated" else before
-        counted = ((k, values[:, k : k + BLOCK]) for k in range(0, values.shape[1], BLOCK))
+        counted = [(k, values[:, k : k + BLOCK]) for k in range(0, values.shape[1], BLOCK)]
         return PlayColumns(self.held, before, counted)
 
 
