@@ -161,8 +161,7 @@ def fit_static_coupled(
     rms_um = np.sqrt(np.maximum(left, 0.0)).tolist()
     solutions = [found.of_output(*both) for both in zip(own, rms_um, strict=True)]
     without = [free.of_output(*both) for both in zip(own, rms_um, strict=True)]
-    offsets_um = np.column_stack([m.means[:, -1] - m.means[:, :-1] @ c for m in outputs])
-    return as_block(thresholds_v, layout, without, solutions, offsets_um, outputs[0].samples)
+    return as_block(thresholds_v, layout, without, solutions, [c] * len(outputs), outputs)
 
 
 def _joint(merge: Array, outputs: Sequence[Moments]) -> tuple[Array, Array]:

@@ -247,13 +247,8 @@ def solve_static(
             _solve_output(layout, o, moment, ridge, bounds_of(solver, layout, o, gains))
             for o, moment in enumerate(moments)
         ]
-    offsets_um = np.column_stack(  # readings (record, output) that belong to an output of zero
-        [
-            moment.means[:, -1] - moment.means[:, :-1] @ (layout.merge[o] @ solution.coefficients)
-            for o, (moment, solution) in enumerate(zip(moments, solutions, strict=True))
-        ]
-    )
-    return as_block(thresholds_v, layout, free, solutions, offsets_um, moments[0].samples)
+    columns = [merge @ one.coefficients for merge, one in zip(layout.merge, solutions, strict=True)]
+    return as_block(thresholds_v, layout, free, solutions, columns, moments)
 
 
 def as_block(
@@ -261,17 +256,21 @@ def as_block(
     layout: SlopeColumns,
     free: Sequence[Solution],
     solutions: Sequence[Solution],
-    offsets_um: Array,
-    samples: int,
+    columns: Sequence[Array],
+    moments: Sequence[Moments],
 ) -> StaticFit:
-    """Static block of the slopes of each output; ``free`` are those that no bounds held."""
+    """Static block of the slopes of each output; ``free`` are those that no bounds held.
+
+    columns, moments : slopes of all columns behind which an output was read, and its moments with them
+    """
+    means = [(moment.means[:, -1], moment.means[:, :-1]) for moment in moments]
     found = [_pairs_of(*each) for each in zip(thresholds_v, layout.parts, solutions, strict=True)]
     parts = [(o, k, part) for o, row in enumerate(layout.parts) for k, part in enumerate(row)]
     return StaticFit(
         hysteresis=PrandtlIshlinskii(tuple(pairs for pairs, _ in found), tuple(known for _, known in found)),
-        offsets_um=offsets_um,
+        offsets_um=np.column_stack([read - x @ c for (read, x), c in zip(means, columns, strict=True)]),
         rms_um=np.array([solution.residual_rms for solution in solutions]),
-        samples=samples,
+        samples=moments[0].samples,
         bounded=tuple(
             (o, k, int(j)) for o, k, part in parts for j in np.flatnonzero(solutions[o].at_bound[part])
         ),
