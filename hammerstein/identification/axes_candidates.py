@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -146,30 +147,16 @@ def guesses_of(
     tell: Progress,
 ) -> tuple[FirstGuess, ...]:
     """Quick axes of every shape that is tried."""
-    return tuple(
-        search_axes(
-            records,
-            starts,
-            delay_samples=settings.delay_samples,
-            sensor=settings.sensor,
-            resonance=resonance,
-            lag=lag,
-            progress=tell,
-        )
-        for resonance, lag in settings.shapes
-    )
+    late = settings.delay_samples
+    search = partial(search_axes, records, starts, sensor=settings.sensor, progress=tell)
+    return tuple(search(delay_samples=late, resonance=fast, lag=lag) for fast, lag in settings.shapes)
 
 
 def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
     """Axes with the delay that is best with the thresholds of the task."""
     task.progress("checking the delay")
-    return checked_delay(
-        task.records,
-        task.starts,
-        SlopeColumns.of(task.thresholds_v).grids,
-        guess,
-        sensor=task.settings.sensor,
-    )
+    grids = SlopeColumns.of(task.thresholds_v).grids
+    return checked_delay(task.records, task.starts, grids, guess, sensor=task.settings.sensor)
 
 
 def _guess_of(guess: FirstGuess, behind: AxesDynamics) -> FirstGuess:
@@ -182,16 +169,9 @@ def _guess_of(guess: FirstGuess, behind: AxesDynamics) -> FirstGuess:
 
 
 def _axes(task: Task, thresholds_v: Thresholds, guess: FirstGuess, every: int) -> AxesFit:
-    settings = task.settings
-    return fit_axes(
-        task.records,
-        SlopeColumns.of(thresholds_v).grids,
-        task.starts,
-        guess,
-        sensor=settings.sensor,
-        every=every,
-        progress=task.progress,
-    )
+    grids = SlopeColumns.of(thresholds_v).grids
+    known = task.records, grids, task.starts, guess
+    return fit_axes(*known, sensor=task.settings.sensor, every=every, progress=task.progress)
 
 
 def _best_shapes(guesses: Sequence[FirstGuess], fits: Sequence[AxesFit]) -> FirstGuess:

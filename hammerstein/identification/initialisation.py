@@ -13,7 +13,6 @@ from hammerstein.identification.linear.axis_search import (
     refine,
     search_creep,
     thinning,
-    uniform_grids,
 )
 from hammerstein.identification.linear.axis_task import AxisTask
 from hammerstein.identification.linear.delay import TINY
@@ -206,7 +205,7 @@ def _creeping_guess(
     records: tuple[Record, ...], starts: tuple[InitialState, ...], guess: FirstGuess, settings: Settings
 ) -> tuple[float, FirstGuess]:
     """Axes with a slow mode near those of a guess, and before them the geometric mean of what they leave."""
-    grids, every = uniform_grids(records, FIRST_OPERATORS), thinning(records)
+    grids, every = tuple(input_grids(records, FIRST_OPERATORS, "voltage")), thinning(records)
     shapes, points = [], []
     for o, (shape, x) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
         larger = replace(shape, creep_modes=1)

@@ -271,7 +271,7 @@ def behind_path(
     """First sample and rows (column, sample) of blocks of columns behind the linear block and the sensor."""
     whole, part_s = split_delay(candidate.dynamics.input_delay_s, record.sample_time_s)
     paths = candidate.sensor.paths(candidate.dynamics.model_copy(update={"input_delay_s": part_s}), [record])
-    return columns.blocks(start, whole, path_filters(paths, 0, o, len(columns.held), len(record.y_um)))
+    return columns.blocks(start, whole, path_filters(paths, 0, o, len(record.y_um)))
 
 
 def _unfitted_squares(

@@ -122,7 +122,7 @@ def error_curve(
         for o in range(len(span)):
             parts = []
             for i, (record, start) in enumerate(zip(few, begun, strict=True)):
-                filters = path_filters(through, i, o, columns, len(span))
+                filters = path_filters(through, i, o, len(span))
                 blocks = regressor_blocks(delayed(record, start, delay_samples), start, grids, filters)
                 parts.append(moments_of_folds(blocks, record.y_um[[o]], start.first, columns, PARTS))
             whole = pooled([moments for part in parts for moments in part.values()])

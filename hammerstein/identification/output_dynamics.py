@@ -19,10 +19,10 @@ from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_search import (
     CREEP_SPANS,
     LAG_SAMPLES,
-    SEARCH_GRID,
     Point,
     refine,
     refined_late,
+    resonances,
     rms_behind,
     thinning,
 )
@@ -261,9 +261,7 @@ def _with(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisSha
         added = [np.array([t]) for t in times]
     else:
         larger, at = replace(shape, resonance=True), 0
-        lower, upper = replace(one, shape=AxisShape()).limits
-        places = np.arange(math.log(10.0) + lower[0], upper[0], math.log(SEARCH_GRID[0]))
-        added = [np.array([f, math.log(SEARCH_GRID[1])]) for f in places]
+        added = resonances(*replace(one, shape=AxisShape()).limits)
     grown = replace(one, shape=larger)
     lower, upper = grown.limits
     begins = [np.insert(x, at, more) for more in added]

@@ -161,11 +161,9 @@ class _Search:
     ridge: float = 0.0
 
     @cached_property
-    def shapes(self) -> tuple[AxisShape, ...]:
-        """Shape of each axis; empty where there is no axis."""
-        if not self.found.axes:
-            return (AxisShape(False),) * self.task.outputs
-        return tuple(parameters_of(axis)[0] for axis in self.found.axes)
+    def axes(self) -> tuple[tuple[AxisShape, Array], ...]:
+        """Shape and first parameters of each axis; without any where there is no axis."""
+        return tuple(map(parameters_of, self.found.axes or (Axis(),) * self.task.outputs))
 
     @cached_property
     def limits(self) -> tuple[Array, Array]:
@@ -177,8 +175,7 @@ class _Search:
 
     def begun(self) -> _Place:
         """The place to begin with."""
-        axes = self.found.axes or (Axis(),) * self.task.outputs
-        numbers = np.concatenate([self.first.free, *(parameters_of(axis)[1] for axis in axes)])
+        numbers = np.concatenate([self.first.free, *(x for _, x in self.axes)])
         return self.place(np.clip(numbers, *self.limits), None)
 
     def arrived(self, here: _Place, enough: float) -> _Place:
@@ -209,7 +206,7 @@ class _Search:
         near : weights near the best ones, for the derivatives of the outputs
         """
         s = len(self.first.free)
-        ends = np.cumsum([s, *(shape.parameters for shape in self.shapes)])
+        ends = np.cumsum([s, *(shape.parameters for shape, _ in self.axes)])
         theta, *x = np.split(numbers, ends[:-1])
         block = self.first.at(theta)
         tasks = [self._axis_task(o, self._columns(block, o)) for o in range(self.task.outputs)]
@@ -290,7 +287,7 @@ class _Search:
 
     def _axis_task(self, o: int, kept: tuple[Regressors, ...]) -> AxisTask:
         task = self.task
-        shape, delay, sensor = self.shapes[o], task.delay_samples, task.settings.sensor
+        (shape, _), delay, sensor = self.axes[o], task.delay_samples, task.settings.sensor
         return AxisTask(task.records, task.starts, (), o, shape, delay, sensor, self.every, kept)
 
     def _columns(self, block: Identifiable, o: int) -> tuple[Regressors, ...]:

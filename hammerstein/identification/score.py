@@ -180,7 +180,7 @@ class Candidate:
             v, _ = hysteresis.respond(record.u_v, memory)
             y, state = block.respond(v)
         else:
-            held, _ = hysteresis.respond(path_before(record, start)[:, -1:], before)
+            held, _ = hysteresis.respond(start.path_v(record.u_v)[:, -1:], before)
             state = block.settled(held[:, 0]) if isinstance(block, LinearBlock) else block.rest()
             if start.held:
                 _, state = block.respond(np.repeat(v[:, :1], start.held, axis=1), state)
@@ -205,7 +205,7 @@ def begun(hysteresis: Hysteresis[Any], record: Record, start: InitialState) -> A
     """Memory of a static block before a record."""
     if start.kind in ("rest", "repeated"):
         return hysteresis.rest()
-    return hysteresis.after(path_before(record, start))
+    return hysteresis.after(start.path_v(record.u_v))
 
 
 def columns_of(
@@ -228,15 +228,7 @@ def _driven(
     """The block as it counts in a record; voltages, those before, and how often they are played."""
     here = cast("Hysteresis[Any]", block).counted_from(record.rest_v).on_grid(record.sample_time_s)
     passes = 2 if start.kind == "repeated" else 1
-    return cast(Identifiable, here), (record.u_v, path_before(record, start), passes)
-
-
-def path_before(record: Record, start: InitialState) -> Array:
-    """Voltages (input, turn) that went before a record, from where it counts [V]: the last was held."""
-    if start.kind in ("rest", "repeated"):
-        return np.zeros((len(record.u_v), 1))
-    turns = np.array(start.turn_v)
-    return turns if start.kind == "stepped" else np.column_stack([turns, record.u_v[:, 0]])
+    return cast(Identifiable, here), (record.u_v, start.path_v(record.u_v), passes)
 
 
 @dataclass(frozen=True)

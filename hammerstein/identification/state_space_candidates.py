@@ -5,19 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import (
-    LinearBlock,
-    StateSpaceDynamics,
-)
+from hammerstein.dynamics import LinearBlock, StateSpaceDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
 from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.score import Candidate, score
-from hammerstein.identification.static.static_block import (
-    SquaresSolver,
-)
+from hammerstein.identification.static.static_block import SquaresSolver
 from hammerstein.identification.static_candidates import build_static, without_dynamics
 from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
 
@@ -108,17 +103,12 @@ def _error(task: Task, candidate: Candidate) -> float:
 
 def _hammerstein(task: Task, block: LinearBlock) -> tuple[WeightFits, Candidate]:
     """Static block in front of a linear one."""
-    blocks = _coupled(task, block)
-    return blocks, task.candidate(blocks.chosen.hysteresis, state_space(block))
-
-
-def _coupled(task: Task, block: LinearBlock) -> WeightFits:
     solver = task.settings.solver
     weighting: SquaresSolver = "invertible" if solver == "closed_form" else solver
     found = fit_static_coupled(
         task.records, task.thresholds_v, block, task.starts, solver=weighting, ridge=task.settings.ridge
     )
-    return WeightFits(found, found, None)
+    return WeightFits(found, found, None), task.candidate(found.hysteresis, state_space(block))
 
 
 def gain_model(gain: Array) -> PrandtlIshlinskii:

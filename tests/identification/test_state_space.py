@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
+from hammerstein.arrays import transfer
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.linear import refinement
@@ -16,7 +17,6 @@ from hammerstein.identification.linear.frequency_response import FrequencyRespon
 from hammerstein.identification.linear.refinement import (
     Matrices,
     WeightedLines,
-    _normal_equations,
     _Place,
     refine,
     split,
@@ -35,7 +35,7 @@ def output_error_percent(block: LinearBlock, response: FrequencyResponse) -> Arr
     100 sqrt( sum of (G - G_measured) S_uu (G - G_measured)^H + residue  /  sum of output power )
     """
     z = np.exp(2j * np.pi * response.frequency_hz * block.sample_time_s)
-    error = Matrices(block.A, block.B, block.C, block.D).at(z).transpose(1, 2, 0) - response.response
+    error = transfer(block.A, block.B, block.C, block.D, z).transpose(1, 2, 0) - response.response
     power = np.einsum("ijf,jkf,ikf->if", error, response.input_power, error.conj()).real
     left = np.sum(power + response.residual_power, axis=1)
     return np.asarray(100.0 * np.sqrt(left / response.output_power.sum(axis=1)))
@@ -134,7 +134,7 @@ def test_many_lines_are_handled_in_pieces(monkeypatch: pytest.MonkeyPatch) -> No
 
 def sums(lines: WeightedLines, model: Matrices) -> list[Array]:
     blocks = split(model)
-    return [np.array([lines.cost(model), blocks.cost(lines)]), *_normal_equations(lines, blocks)]
+    return [np.array([lines.cost(model), blocks.cost(lines)]), *_Place(blocks, lines, 0.0).normal_equations]
 
 
 def test_a_long_record() -> None:
@@ -258,7 +258,7 @@ def test_the_jacobian_is_that_of_finite_differences(whole: bool) -> None:
     assert [part.stop - part.start for part in blocks.parts] == [2, 2, 1]
     if whole:
         blocks = replace(blocks, model=start, parts=(slice(0, 5),))
-    gradient = _normal_equations(lines, blocks)[1]
+    gradient = _Place(blocks, lines, 0.0).normal_equations[1]
     for i, step in enumerate(1e-6 * np.eye(len(gradient))):
         slope = (blocks.moved(step).cost(lines) - blocks.moved(-step).cost(lines)) / 2e-6
         assert 2.0 * gradient[i] == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.abs(gradient).max())

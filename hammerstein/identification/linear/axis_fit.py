@@ -20,10 +20,10 @@ from hammerstein.identification.linear.axis_search import (
     fit_slopes,
     refine,
     residuals,
-    uniform_grids,
 )
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of
 from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
+from hammerstein.identification.operators import input_grids
 from hammerstein.identification.score import SensorModel
 from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
 from hammerstein.records.record import Record
@@ -155,7 +155,7 @@ def _with_few_columns(task: AxisTask) -> AxisTask | None:
         return replace(task, kept=few) if task.columns > FEW else None
     if not task.shape.creep_modes or task.columns <= len(task.grids):
         return None
-    return replace(task, grids=uniform_grids(task.records, CREEP_OPERATORS))
+    return replace(task, grids=tuple(input_grids(task.records, CREEP_OPERATORS, "voltage")))
 
 
 def standard_errors(task: AxisTask, point: Point) -> Array:
@@ -259,18 +259,10 @@ def fit_axes(
     progress : called with the current step
     """
     tell = progress or (lambda _: None)
+    known = tuple(records), tuple(starts), tuple(grids)
+    late = guess.delay_samples, sensor or SensorModel(), every
     fits = []
     for o, (shape, begin) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
         tell(f"fitting the axis {records[0].outputs[o]}")
-        task = AxisTask(
-            tuple(records),
-            tuple(starts),
-            tuple(grids),
-            o,
-            shape,
-            guess.delay_samples,
-            sensor or SensorModel(),
-            every,
-        )
-        fits.append(fit_axis(task, begin))
+        fits.append(fit_axis(AxisTask(*known, o, shape, *late), begin))
     return AxesFit(tuple(fits), guess.delay_samples)

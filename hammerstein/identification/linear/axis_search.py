@@ -35,13 +35,12 @@ from hammerstein.identification.linear.axis_task import (
     duration_s,
 )
 from hammerstein.identification.linear.delay import best_delay
+from hammerstein.identification.operators import input_grids
 from hammerstein.identification.score import SensorModel
-from hammerstein.identification.static.closed_form import thresholds_uniform_in_voltage
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
 from hammerstein.identification.static.initial_state import most_dynamic_segment
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
 from hammerstein.identification.static.regressors import InitialState, SideBySide
-from hammerstein.identification.static.static_block import half_swing
 from hammerstein.records.record import Record
 
 SMALLEST_CHANGE = 1e-6  # of a logarithm, below which a search stands
@@ -170,7 +169,7 @@ LAG_SAMPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """Time constants of a low-pass to begin with, in samples."""
 CREEP_SPANS = (0.03, 0.3)
 """Time constants of a creep mode to begin with, in parts of the longest record."""
-SEARCH_GRID, CLOSE_GRID = (1.3, 0.15), (1.06, 0.03)
+SEARCH_GRID = 1.3, 0.15
 """Ratio of neighbouring frequencies tried, and their damping: within reach of the Gauss-Newton steps."""
 
 
@@ -200,7 +199,6 @@ def search_axes(
     records: Sequence[Record],
     starts: Sequence[InitialState],
     *,
-    grids: Sequence[Array] | None = None,
     delay_samples: int | None = 0,
     sensor: SensorModel | None = None,
     lag: bool = False,
@@ -213,7 +211,6 @@ def search_axes(
     ----------
     records : all with the same axes
     starts : initial state of each record
-    grids : thresholds of each input [V]; uniform in voltage if not given
     delay_samples : whole samples by which the outputs come late; None: found, if all records have one sample
         time
     sensor : model of the sensor; ideal if not given
@@ -224,13 +221,13 @@ def search_axes(
 
     quick, begun = most_dynamic_segment(records, starts, GUESS_SAMPLES)
     every = thinning(quick)
-    plays = uniform_grids(quick, GUESS_OPERATORS) if grids is None else tuple(grids)
+    plays = tuple(input_grids(quick, GUESS_OPERATORS, "voltage"))
     tasks, begins = [], []
     for o, name in enumerate(records[0].outputs):
         tell(f"searching the {'resonance' if resonance else 'lag'} of {name}")
         shape = AxisShape(resonance, lag)
         full = AxisTask(quick, begun, plays, o, shape, delay_samples or 0, sensor or SensorModel(), every)
-        task, x = _searched(full, closely=grids is not None)
+        task, x = _searched(full)
         tasks.append(task)
         begins.append(x)
     shapes = tuple(one.shape for one in tasks)
@@ -281,7 +278,7 @@ def checked_delay(
     return guess if best == delay else replace(guess, parameters=tuple(found), delay_samples=best)
 
 
-def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
+def _searched(full: AxisTask) -> tuple[AxisTask, Array]:
     """Axis near the best one, and the task with few columns that it was found with."""
     shape = full.shape
     task = full.mixed(fit_slopes(full, full.sensor_path)[0])
@@ -289,11 +286,8 @@ def _searched(full: AxisTask, closely: bool) -> tuple[AxisTask, Array]:
     for turn in range(SEARCH_TURNS):
         if shape.resonance:
             ringing = replace(task, shape=AxisShape())
-            x = (
-                refine(ringing, x[:2]).x
-                if turn
-                else search(ringing, replace(full, shape=ringing.shape), closely)
-            )
+            judged = replace(full, shape=ringing.shape)
+            x = refine(ringing, x[:2]).x if turn else search(ringing, judged)
         if shape.lag:
             x = search_lag(task, x[: 2 * shape.resonance]).x
         task = full.mixed(fit_slopes(full, partial(full.path, x))[0])
@@ -305,24 +299,27 @@ def thinning(records: Sequence[Record]) -> int:
     return max(sum(record.samples for record in records) // COUNTED_SAMPLES, 1)
 
 
-def search(task: AxisTask, judged: AxisTask, closely: bool = False) -> Array:
+def search(task: AxisTask, judged: AxisTask) -> Array:
     """Resonance and damping near the best ones.
 
     The search begins at the best points of a coarse grid over all values that the records can show, and at
-    frequencies where the error of a static block stands out. ``closely`` adds a grid fine enough for any
-    weakly damped resonance. ``judged`` has all columns: with the few columns of ``task``, an axis could hide
-    an error that thresholds can remove.
+    frequencies where the error of a static block stands out. ``judged`` has all columns: with the few columns
+    of ``task``, an axis could hide an error that thresholds can remove.
     """
     lower, upper = task.limits
-    begins: list[Array] = []
-    for ratio, damping in (SEARCH_GRID, *((CLOSE_GRID,) if closely else ())):
-        frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(ratio))
-        grid = [np.array([f, math.log(damping)]) for f in frequencies]
-        errors = [rms_behind(task, x) for x in grid]
-        begins += [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
+    grid = resonances(lower, upper)
+    errors = [rms_behind(task, x) for x in grid]
+    begins = [grid[int(i)] for i in np.argsort(errors, kind="stable")[:SEARCH_BEGINS]]
     begins += [np.log([f, PEAK_DAMPING]) for f in ringing_hz(task) if lower[0] < math.log(f) < upper[0]]
     found = [point.x for point in _arrived(task, begins)]
     return min(found, key=lambda x: rms_behind(judged, x)) if len(found) > 1 else found[0]
+
+
+def resonances(lower: Array, upper: Array) -> list[Array]:
+    """Coarse grid of resonances (ln frequency, ln damping) between the limits of their frequency."""
+    ratio, damping = SEARCH_GRID
+    frequencies = np.arange(math.log(10.0) + lower[0], upper[0], math.log(ratio))
+    return [np.array([f, math.log(damping)]) for f in frequencies]
 
 
 def _arrived(task: AxisTask, begins: Sequence[Array]) -> list[Point]:
@@ -380,9 +377,3 @@ def search_lag(task: AxisTask, before: Array) -> Point:
     begins = [np.append(before, time) for time in times if lower[-1] <= time <= upper[-1]]
     errors = [rms_behind(task, x) for x in begins]
     return refine(task, begins[int(np.argmin(errors))])
-
-
-def uniform_grids(records: Sequence[Record], operators: int) -> tuple[Array, ...]:
-    """Thresholds of each input, uniform in voltage; none for one that does not move."""
-    reach = half_swing(records)
-    return tuple(thresholds_uniform_in_voltage(r, operators) if r else np.empty(0) for r in reach)

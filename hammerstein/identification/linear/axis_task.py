@@ -24,7 +24,6 @@ from hammerstein.identification.static.regressors import (
     SideBySide,
     behind_filters,
     delayed,
-    regressor_blocks,
 )
 from hammerstein.quantities import RESONANCE_HZ, TIME_CONSTANT_S, number_of
 from hammerstein.records.record import Record
@@ -86,12 +85,9 @@ class Derivatives:
     @cached_property
     def _matrices(self) -> tuple[Array, Array, Array, Array]:
         """Matrices of all paths, four side by side."""
-        return (
-            self._side_by_side([path.A for path in self.paths]),
-            self._side_by_side([path.B[:, 0] for path in self.paths]),
-            self._side_by_side([path.C[0] for path in self.paths]),
-            self._side_by_side([path.D[0, 0] for path in self.paths]),
-        )
+        each = [(path.A, path.B[:, 0], path.C[0], path.D[0, 0]) for path in self.paths]
+        a, b, c, d = map(self._side_by_side, zip(*each, strict=True))
+        return a, b, c, d
 
     @cached_property
     def _of_one(self) -> Array:
@@ -182,35 +178,28 @@ class AxisTask:
 
     def blocks(self, number: int, filters: Sequence[Filter]) -> Iterator[tuple[int, Array]]:
         """First sample and columns of each block of a record behind the filters."""
+        return behind_filters(self._columns(number), self.starts[number], filters)
+
+    def _columns(self, number: int) -> PlayColumns:
+        """Columns of a record before any filter."""
         record, start = self.records[number], self.starts[number]
         whole, _ = self.late(record.sample_time_s)
         if self.kept:
-            return self.kept[number].blocks(start, whole, filters)
-        return regressor_blocks(delayed(record, start, whole), start, self.grids, filters)
+            return self.kept[number].late(start, whole)
+        return PlayColumns.of(delayed(record, start, whole), start, self.grids)
 
     @cached_property
-    def _plays(self) -> tuple[tuple[NDArray[np.intp], PlayColumns], ...]:
-        """Differences of plays that move, for every step; none where they would fill the memory."""
+    def _moving(self) -> tuple[tuple[NDArray[np.intp], PlayColumns], ...]:
+        """Columns of each record that move, often those of one input, and their numbers, for every step.
+
+        None where they would fill the memory.
+        """
+        if self.kept:
+            few = replace(self, kept=tuple(one.moving[1] for one in self.kept))
+            return tuple((one.moving[0], few._columns(i)) for i, one in enumerate(self.kept))
         if self.columns * sum(record.samples for record in self.records) > MOST_KEPT:
             return ()
-        late = [self.late(record.sample_time_s)[0] for record in self.records]
-        return tuple(
-            PlayColumns.of(delayed(record, start, whole), start, self.grids).moving()
-            for record, start, whole in zip(self.records, self.starts, late, strict=True)
-        )
-
-    def _moving(
-        self, number: int, filters: Sequence[ByColumn]
-    ) -> tuple[NDArray[np.intp] | None, Iterator[tuple[int, Array]]]:
-        """Numbers of the columns of a record that move, and ``blocks`` of them: often one input rests."""
-        start = self.starts[number]
-        if not (self.kept or self._plays):
-            return None, self.blocks(number, filters)
-        own, columns = self.kept[number].moving if self.kept else self._plays[number]
-        few = [one.among(own) if isinstance(one, Derivatives) else one for one in filters]
-        if isinstance(columns, PlayColumns):
-            return own, behind_filters(columns, start, few)
-        return own, columns.blocks(start, self.late(self.records[number].sample_time_s)[0], few)
+        return tuple(self._columns(i).moving() for i in range(len(self.records)))
 
     @property
     def limits(self) -> tuple[Array, Array]:
@@ -255,11 +244,7 @@ class AxisTask:
 
     def sensor_path(self, sample_time_s: float) -> LinearBlock:
         """Discrete path of an axis without dynamics: the sensor alone."""
-        (_, late), one = self.late(sample_time_s), np.ones((1, 1))
-        if self.sensor.bandwidth_hz is None:
-            return held(np.empty((0, 0)), np.empty((0, 1)), np.empty((1, 0)), one, sample_time_s, late)
-        s = 2.0 * math.pi * self.sensor.bandwidth_hz * one
-        return held(-s, s, one, 0.0 * one, sample_time_s, late)
+        return replace(self, shape=AxisShape(False)).path(np.empty(0), sample_time_s)
 
     def derivatives(self, x: Array, slopes: Array, sample_time_s: float) -> Derivatives:
         """Derivatives of the output by every x_i, for the static block with these slopes."""
@@ -272,9 +257,12 @@ class AxisTask:
         parts = []
         for i, record in enumerate(self.records):
             y, step = record.y_um[[self.output]], self.every
-            own, blocks = self._moving(i, built[record.sample_time_s])
+            own, held = self._moving[i] if self._moving else (np.arange(self.columns), self._columns(i))
+            passed = built[record.sample_time_s]
+            few = [one.among(own) if isinstance(one, Derivatives) else one for one in passed]
+            blocks = behind_filters(held, self.starts[i], few)
             counted = ((c[:, ::step], y[:, k : k + c.shape[1] : step]) for k, c in blocks)
-            numbers = None if own is None else np.append(own, np.arange(self.columns, columns))
+            numbers = np.append(own, np.arange(self.columns, columns))
             parts.append(moments_of(counted, columns, 1, numbers))
         return pooled(parts)
 
@@ -308,22 +296,19 @@ def axis_matrices(shape: AxisShape, x: Array) -> tuple[Array, Array, Array, Arra
     return a, b, c[None], np.full((1, 1), through)
 
 
-def held(a: Array, b: Array, c: Array, d: Array, sample_time_s: float, late: float = 0.0) -> LinearBlock:
-    """Block on a sample grid, exact for an input held over each sample: exponential of [[A, B], [0, 0]] T.
+def held_each(blocks: Sequence[StateMatrices], sample_time_s: float, late: float = 0.0) -> list[LinearBlock]:
+    """Blocks on a sample grid, exact for an input held over each sample: exponential of [[A, B], [0, 0]] T.
 
-    The input comes a part ``late`` of a sample late, as in ``LinearBlock.held``.
+    All have as many states and inputs. The input comes a part ``late`` of a sample late, as in
+    ``LinearBlock.held``.
 
     Examples
     --------
     >>> one = np.ones((1, 1))
-    >>> abs(float(held(-one, one, one, 0.0 * one, 1.0).A[0, 0]) - math.exp(-1.0)) < 1e-15
+    >>> [block] = held_each([(-one, one, one, 0.0 * one)], 1.0)
+    >>> abs(float(block.A[0, 0]) - math.exp(-1.0)) < 1e-15
     True
     """
-    return held_each([(a, b, c, d)], sample_time_s, late)[0]
-
-
-def held_each(blocks: Sequence[StateMatrices], sample_time_s: float, late: float = 0.0) -> list[LinearBlock]:
-    """What ``held`` gives of each block; all have as many states and inputs."""
     if late:
         begins = held_each(blocks, late * sample_time_s)
         ends = held_each(blocks, (1.0 - late) * sample_time_s)

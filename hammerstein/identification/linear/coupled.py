@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from hammerstein.arrays import Array, Complex
-from hammerstein.dynamics import LinearBlock
+from hammerstein.dynamics import LinearBlock, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
 from hammerstein.identification.linear.state_space import fit_state_space
-from hammerstein.identification.score import begun
-from hammerstein.identification.static.normal_equations import Bounds, Moments, moments_of, pooled, solve
-from hammerstein.identification.static.regressors import InitialState, regressor_blocks
+from hammerstein.identification.score import Candidate
+from hammerstein.identification.static.normal_equations import Bounds, Moments, pooled, solve
+from hammerstein.identification.static.regressors import InitialState, PlayColumns
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
     SquaresSolver,
@@ -26,12 +27,11 @@ from hammerstein.identification.static.static_block import (
     as_block,
     bounds_of,
     gains_of,
+    record_moments,
     refuse_unreached,
     ridge_of,
 )
 from hammerstein.records.record import Record
-
-Modes = Complex
 
 
 def measured_response(records: Sequence[Record], v_um: Sequence[Array] | None = None) -> FrequencyResponse:
@@ -83,10 +83,8 @@ def refit_linear(
     progress: Callable[[str], None] | None = None,
 ) -> LinearBlock:
     """State-space model behind a static block that is known."""
-    outputs = []
-    for record, start in zip(records, starts, strict=True):
-        v, memory = hysteresis.respond(record.u_v, begun(hysteresis, record, start))
-        outputs.append(hysteresis.respond(record.u_v, memory)[0] if start.kind == "repeated" else v)
+    static = Candidate(hysteresis, StaticDynamics(n_outputs=hysteresis.n_outputs))
+    outputs = [static.predict(record, start) for record, start in zip(records, starts, strict=True)]
     return fit_state_space(measured_response(records, outputs), order, progress=progress)
 
 
@@ -97,9 +95,9 @@ class ModalCopies:
     poles, residues_in, residues_out : (mode,) one of each conjugate pair; through : direct gain
     """
 
-    poles: Modes
-    residues_in: Modes
-    residues_out: Modes
+    poles: Complex
+    residues_in: Complex
+    residues_out: Complex
     through: float
 
     @classmethod
@@ -112,11 +110,11 @@ class ModalCopies:
         twice = np.where(poles.imag > 0.0, 2.0, 1.0)
         return cls(poles[upper], b[upper], (twice * c)[upper], float(block.D[output, input_]))
 
-    def settled(self, columns: Array) -> Modes:
+    def settled(self, columns: Array) -> Complex:
         """State (copy, mode) of paths that were held at their column for ever."""
         return np.asarray(np.outer(columns, self.residues_in / (1.0 - self.poles)), dtype=np.complex128)
 
-    def respond(self, columns: Array, start: Modes) -> tuple[Array, Modes]:
+    def respond(self, columns: Array, start: Complex) -> tuple[Array, Complex]:
         """Outputs (copy, sample) and the state after them."""
         from hammerstein.dynamics.path_kernel import respond_modes
 
@@ -141,78 +139,48 @@ def fit_static_coupled(
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(records, layout.grids)
     outputs = _moments(records, starts, layout, through)
-    joint = _Joint.of(layout, outputs)
-    penalty = joint.ridge(ridge) if ridge > 0.0 else None
-    free = found = solve(joint.gram, joint.cross, float(len(outputs)), joint.freedom, penalty=penalty)
+    merge, freedom = np.asarray(block_diag(*layout.merge)), sum(moment.freedom for moment in outputs)
+    gram, cross = _joint(merge, outputs)
+    ends = np.cumsum([0, *(row[-1].stop for row in layout.parts)]).tolist()
+    own = [slice(*both) for both in itertools.pairwise(ends)]  # unknowns of each output
+    ridges = [ridge_of(row, gram[s, s], ridge) for row, s in zip(layout.parts, own, strict=True)]
+    penalty = np.asarray(block_diag(*ridges)) if ridge > 0.0 else None
+    known = gram, cross, float(len(outputs)), freedom
+    free = found = solve(*known, penalty=penalty)
     if solver != "least_squares":
-        gains = gains_of(records, thresholds_v, layout, [free.coefficients[s] for s in joint.own])
+        gains = gains_of(records, thresholds_v, layout, [free.coefficients[s] for s in own])
         each = [bounds_of(solver, layout, o, gains) for o in range(len(outputs))]
         bounds = Bounds(
-            _block_diagonal([b.basis for b in each]),
+            np.asarray(block_diag(*[b.basis for b in each])),
             np.concatenate([b.side for b in each]),
             np.concatenate([b.bound for b in each]),
         )
-        found = solve(
-            joint.gram, joint.cross, float(len(outputs)), joint.freedom, bounds=bounds, penalty=penalty
-        )
-    c = joint.merge @ found.coefficients
+        found = solve(*known, bounds=bounds, penalty=penalty)
+    c = merge @ found.coefficients
     left = [(m.power[0] - 2.0 * m.cross[:, 0] @ c + c @ m.gram @ c) / m.freedom for m in outputs]
     rms_um = np.sqrt(np.maximum(left, 0.0)).tolist()
-    solutions = [found.of_output(*own) for own in zip(joint.own, rms_um, strict=True)]
-    without = [free.of_output(*own) for own in zip(joint.own, rms_um, strict=True)]
-    offsets_um = np.column_stack([m.means[:, -1] - m.means[:, :-1] @ c for m in outputs])
-    return as_block(thresholds_v, layout, without, solutions, offsets_um, outputs[0].samples)
+    solutions = [found.of_output(*both) for both in zip(own, rms_um, strict=True)]
+    without = [free.of_output(*both) for both in zip(own, rms_um, strict=True)]
+    return as_block(thresholds_v, layout, without, solutions, [c] * len(outputs), outputs)
 
 
-class _Joint(NamedTuple):
-    """One problem for the slopes of all outputs; ``own[o]`` are the unknowns of output o."""
-
-    layout: SlopeColumns
-    merge: Array
-    gram: Array
-    cross: Array
-    freedom: int
-    own: tuple[slice, ...]
-
-    @classmethod
-    def of(cls, layout: SlopeColumns, outputs: Sequence[Moments]) -> _Joint:
-        merge = _block_diagonal(layout.merge)
-        weight = [1.0 / max(float(moment.power[0]), np.finfo(float).tiny) for moment in outputs]
-        gram = np.sum([w * m.gram for w, m in zip(weight, outputs, strict=True)], axis=0)
-        cross = np.sum([w * m.cross[:, 0] for w, m in zip(weight, outputs, strict=True)], axis=0)
-        ends = np.cumsum([merged.shape[1] for merged in layout.merge]).tolist()
-        own = tuple(slice(e - merged.shape[1], e) for e, merged in zip(ends, layout.merge, strict=True))
-        freedom = sum(moment.freedom for moment in outputs)
-        return cls(layout, merge, merge.T @ gram @ merge, merge.T @ cross, freedom, own)
-
-    def ridge(self, ridge: float) -> Array:
-        """Penalty of the weights of all outputs."""
-        parts = self.layout.parts
-        return _block_diagonal([ridge_of(parts[o], self.gram[s, s], ridge) for o, s in enumerate(self.own)])
+def _joint(merge: Array, outputs: Sequence[Moments]) -> tuple[Array, Array]:
+    """Moments of one problem for the slopes of all outputs: with each other, and with the readings."""
+    weight = [1.0 / max(float(moment.power[0]), np.finfo(float).tiny) for moment in outputs]
+    gram = np.sum([w * m.gram for w, m in zip(weight, outputs, strict=True)], axis=0)
+    cross = np.sum([w * m.cross[:, 0] for w, m in zip(weight, outputs, strict=True)], axis=0)
+    return merge.T @ gram @ merge, merge.T @ cross
 
 
 def _moments(
     records: Sequence[Record], starts: Sequence[InitialState], layout: SlopeColumns, through: LinearBlock
 ) -> list[Moments]:
     """Moments of each output with the columns of all outputs of the static block."""
-    p, columns = len(records[0].y_um), sum(map(len, layout.grids))
-    moments = []
-    for o in range(p):
-        filters = [ModalCopies.of(through, o, k) for k in range(p)]
-        parts = [
-            moments_of(_blocks(record, start, layout, filters, o), p * columns, 1)
-            for record, start in zip(records, starts, strict=True)
-        ]
-        moments.append(pooled(parts))
-    return moments
-
-
-def _blocks(
-    record: Record, start: InitialState, layout: SlopeColumns, filters: Sequence[ModalCopies], o: int
-) -> Iterator[tuple[Array, Array]]:
-    for k, x in regressor_blocks(record.u_v, start, layout.grids, filters):
-        yield x, record.y_um[[o], k : k + x.shape[1]]
-
-
-def _block_diagonal(matrices: Sequence[Array]) -> Array:
-    return np.asarray(block_diag(*matrices))
+    outputs = range(len(records[0].y_um))
+    filters = [[ModalCopies.of(through, o, k) for k in outputs] for o in outputs]
+    held = np.ones(len(outputs) * sum(map(len, layout.grids)), dtype=np.bool_)
+    parts = []
+    for record, start in zip(records, starts, strict=True):
+        plays = partial(PlayColumns.of, record.u_v, start, layout.grids)
+        parts.append(record_moments(record, start, plays, filters, held))
+    return [pooled(part) for part in zip(*parts, strict=True)]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.ndimage import uniform_filter1d
 
-from hammerstein.arrays import Array, Complex, transfer
+from hammerstein.arrays import Array, Complex
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
 from hammerstein.identification.static.damped_search import Damping, steps
@@ -40,10 +40,6 @@ class Matrices(NamedTuple):
     B: Array
     C: Array
     D: Array
-
-    def at(self, z: Complex) -> Complex:
-        """Response (F, p, m) at the points z (F,)."""
-        return transfer(self.A, self.B, self.C, self.D, z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +74,7 @@ class WeightedLines:
 
     def cost(self, model: Matrices) -> float:
         """Sum of squares that a model leaves of the target."""
-        total = 0.0
-        for k in self.chunks():
-            error = self.left[k, :, None] * ((model.at(self.z[k]) - self.target[k]) @ self.right[k])
-            total += float(np.sum(error.real**2 + error.imag**2))
-        return total
+        return _Blocks(model, (slice(None),)).cost(self)
 
     def percent(self, cost: float) -> float:
         """Error left by a fit of this cost, noise and distortion included, in % of the output [%]."""
@@ -270,8 +262,28 @@ class _Place:
 
     @cached_property
     def normal_equations(self) -> tuple[Array, Array]:
-        """J^T J and J^T e there."""
-        return _normal_equations(self.lines, self.blocks)
+        """J^T J and J^T e over all lines.
+
+        With X = (z - A)^-1 B R and Z = C (z - A)^-1 the error of output a changes by
+
+            dA_ij: Z_ai X_j,    dB_ij: Z_ai R_j,    dC_aj: X_j,    dD_aj: R_j
+
+        so C and D of one output meet no other output.
+        """
+        from hammerstein.identification.linear.kernel import add_normal_equations
+
+        lines, blocks = self.lines, self.blocks
+        (n, m), p = blocks.model.B.shape, len(blocks.model.C)
+        rows, columns = blocks.pattern()
+        rows = np.concatenate([rows, np.repeat(np.arange(n), m)])
+        columns = np.concatenate([columns, np.tile(np.arange(n, n + m), n)])
+        size = len(rows) + p * (n + m)
+        hessian, gradient = np.zeros((size, size)), np.zeros(size)
+        for k in lines.chunks():
+            observed, inputs = _sides(blocks, lines.z[k], lines.right[k])
+            error = np.hstack([blocks.model.C, blocks.model.D]) @ inputs - lines.target[k] @ lines.right[k]
+            add_normal_equations(observed, inputs, error, lines.left[k], rows, columns, hessian, gradient)
+        return hessian + np.triu(hessian, 1).T, gradient
 
     def step(self, damping: float) -> _Place:
         """Where a damped step leads to; by Cholesky, for a block may have hundreds of entries."""
@@ -309,30 +321,6 @@ def split(model: Matrices) -> _Blocks:
         B[part] *= balance
         C[:, part] /= balance
     return _Blocks(Matrices(A, B, C, model.D), parts)
-
-
-def _normal_equations(lines: WeightedLines, blocks: _Blocks) -> tuple[Array, Array]:
-    """J^T J and J^T e over all lines.
-
-    With X = (z - A)^-1 B R and Z = C (z - A)^-1 the error of output a changes by
-
-        dA_ij: Z_ai X_j,    dB_ij: Z_ai R_j,    dC_aj: X_j,    dD_aj: R_j
-
-    so C and D of one output meet no other output.
-    """
-    from hammerstein.identification.linear.kernel import add_normal_equations
-
-    (n, m), p = blocks.model.B.shape, len(blocks.model.C)
-    rows, columns = blocks.pattern()
-    rows = np.concatenate([rows, np.repeat(np.arange(n), m)])
-    columns = np.concatenate([columns, np.tile(np.arange(n, n + m), n)])
-    size = len(rows) + p * (n + m)
-    hessian, gradient = np.zeros((size, size)), np.zeros(size)
-    for k in lines.chunks():
-        observed, inputs = _sides(blocks, lines.z[k], lines.right[k])
-        error = np.hstack([blocks.model.C, blocks.model.D]) @ inputs - lines.target[k] @ lines.right[k]
-        add_normal_equations(observed, inputs, error, lines.left[k], rows, columns, hessian, gradient)
-    return hessian + np.triu(hessian, 1).T, gradient
 
 
 def _sides(blocks: _Blocks, z: Complex, right: Complex) -> tuple[Complex, Complex]:

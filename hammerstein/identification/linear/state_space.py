@@ -171,8 +171,15 @@ def fit_state_space(
     lines = weigh(response, weighting)
     report = progress or (lambda text: None)
     trial = min(TRIAL, max_iterations)
-    trials = [_refine(lines, start, trial, tolerance, report) for start in _starts(lines, order, report)]
-    model = _refine(lines, min(trials, key=lines.cost), max_iterations, tolerance, report, done=trial)
+
+    def refined(start: Matrices, done: int, most: int) -> Matrices:
+        def step(count: int, cost: float) -> None:
+            report(f"step {done + count}: {_left(lines, cost)}")
+
+        return refine(lines, start, most - done, tolerance, step)
+
+    trials = [refined(start, 0, trial) for start in _starts(lines, order, report)]
+    model = refined(min(trials, key=lines.cost), trial, max_iterations)
     return LinearBlock(*lines.physical(model), response.sample_time_s)
 
 
@@ -192,20 +199,6 @@ def _starts(lines: WeightedLines, order: int, report: Callable[[str], None]) -> 
         models.append(subspace(lines, order, block_rows))
         report(f"start with {block_rows} block rows: {_left(lines, lines.cost(models[-1]))}")
     return models
-
-
-def _refine(
-    lines: WeightedLines,
-    start: Matrices,
-    steps: int,
-    tolerance: float,
-    report: Callable[[str], None],
-    done: int = 0,
-) -> Matrices:
-    def step(count: int, cost: float) -> None:
-        report(f"step {done + count}: {_left(lines, cost)}")
-
-    return refine(lines, start, steps - done, tolerance, step)
 
 
 def _left(lines: WeightedLines, cost: float) -> str:

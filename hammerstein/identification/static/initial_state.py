@@ -126,12 +126,7 @@ def _own(record: Record, start: InitialState, predict: Predict, slow_s: float) -
     if record.period_samples is not None or (start.kind == "repeated" and closed(record)):
         return start
     choices = dict.fromkeys([start, *(replace(_of_kind(kind, record), first=start.first) for kind in KINDS)])
-
-    def left(choice: InitialState) -> float:
-        error = (record.y_um - predict(record, choice))[:, start.first :]
-        span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
-        return float(np.mean((error / span[:, None]).var(axis=1)))
-
+    left = partial(_left, record, predict, first=start.first)
     errors = {choice: left(choice) for choice in choices}
     if slow_s:
         creeping, error = _creeping(record, left, slow_s, start.first)
@@ -200,10 +195,10 @@ def _least(record: Record, predict: Predict, slow_s: float = 0.0) -> InitialStat
     return start
 
 
-def _left(record: Record, predict: Predict, start: InitialState) -> float:
-    """Mean squared error of a whole record relative to its ranges, excluded samples included."""
+def _left(record: Record, predict: Predict, start: InitialState, first: int = 0) -> float:
+    """Mean squared error of a record from some sample on, relative to the ranges of the whole record."""
     span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
-    error = (record.y_um - predict(record, start)) / span[:, None]
+    error = (record.y_um - predict(record, start))[:, first:] / span[:, None]
     return float(np.mean(error.var(axis=1)))
 
 
@@ -344,10 +339,7 @@ def found_starts(
     ways = alike_starts(records)
     if mode != "auto":
         return judged_starts(records, fit(ways["cautious"]), settle_s, mode)
-    tried: dict[tuple[InitialState, ...], float] = {}
-    for starts in ways.values():
-        if starts not in tried:
-            tried[starts] = _error_of(records, starts, fit)
+    tried = {starts: _error_of(records, starts, fit) for starts in dict.fromkeys(ways.values())}
     best = next(starts for starts, error in tried.items() if error <= (1.0 + WORTH) * min(tried.values()))
     best = each_alone(records, best, fit, range(len(records)) if len(records) > 1 else ())
     for _ in range(START_ROUNDS):

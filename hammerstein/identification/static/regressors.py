@@ -18,9 +18,10 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, ByValue
 from hammerstein.dynamics import LinearBlock
 from hammerstein.hysteresis import play
+from hammerstein.hysteresis.pair import played
 from hammerstein.records.record import Record
 
 BLOCK = 8192
@@ -58,23 +59,12 @@ class InitialState:
     turn_v: tuple[tuple[float, float], ...] = ()
     held: int = 0
 
-    def plays_v(self, first_v: float, thresholds_v: Array, input_: int) -> Array:
-        """Outputs of the plays of one input before the record (operator,) [V].
-
-        Parameters
-        ----------
-        first_v : first voltage of the record [V]
-        thresholds_v : of the plays [V]
-        input_ : number of the input, from 0
-        """
-        r = np.asarray(thresholds_v, dtype=np.float64)
+    def path_v(self, u_v: Array) -> Array:
+        """Voltages (input, turn) that went before others (input, sample) [V]; the last was held."""
         if self.kind in ("rest", "repeated"):
-            return np.zeros(len(r))
-        middle, turn = self.turn_v[input_]
-        held = np.maximum(turn - r, np.minimum(turn + r, middle))
-        if self.kind == "stepped":
-            return np.asarray(held)
-        return np.asarray(np.maximum(first_v - r, np.minimum(first_v + r, held)))
+            return np.zeros((len(u_v), 1))
+        turns = np.array(self.turn_v)
+        return turns if self.kind == "stepped" else np.column_stack([turns, u_v[:, 0]])
 
 
 def delayed(record: Record, start: InitialState, samples: int) -> Array:
@@ -82,12 +72,8 @@ def delayed(record: Record, start: InitialState, samples: int) -> Array:
     if samples == 0:
         return record.u_v
     u = np.roll(record.u_v, samples, axis=1)
-    if start.kind == "rest":
-        u[:, :samples] = 0.0
-    elif start.kind == "stepped":
-        u[:, :samples] = record.u_v[:, :1] if start.held else np.array(start.turn_v)[:, 1:]
-    elif start.kind == "turned":
-        u[:, :samples] = record.u_v[:, :1]
+    if start.kind != "repeated":
+        u[:, :samples] = record.u_v[:, :1] if start.held else start.path_v(record.u_v)[:, -1:]
     return u
 
 
@@ -131,8 +117,7 @@ class PlayColumns(NamedTuple):
         cls, u_v: Array, start: InitialState, grids: Sequence[Array], with_derivatives: bool = False
     ) -> PlayColumns:
         """Columns that are made when asked for, those before the record first."""
-        each = enumerate(zip(u_v, grids, strict=True))
-        plays = [start.plays_v(float(u[0]), grid, k) for k, (u, grid) in each]
+        plays = [played(path, grid) for path, grid in zip(start.path_v(u_v), grids, strict=True)]
         signs = _first_signs(u_v, plays, grids) if with_derivatives else None
         held = _held(plays, signs)
         before: Iterable[Array] = ()
@@ -199,9 +184,15 @@ class Regressors:
     @classmethod
     def of(cls, u_v: Array, start: InitialState, grids: Sequence[Array], rows: Array) -> Regressors:
         """Sums ``rows`` (column, regressor) of the differences of the plays."""
-        values = np.hstack([rows @ x for _, x in regressor_blocks(u_v, replace(start, first=0), grids)])
-        plays = [start.plays_v(float(u[0]), r, k) for k, (u, r) in enumerate(zip(u_v, grids, strict=True))]
-        return cls(values, rows @ _held(plays, None))
+        columns = PlayColumns.of(u_v, start, grids)
+        values = np.hstack([rows @ x for _, x in behind_filters(columns, replace(start, first=0), ())])
+        return cls(values, rows @ columns.held)
+
+    def blocks(
+        self, start: InitialState, delay_samples: int, filters: Sequence[Filter]
+    ) -> Iterator[tuple[int, Array]]:
+        """First sample and rows of each block from ``start.first`` on, behind the filters and a delay."""
+        return behind_filters(self.late(start, delay_samples), start, filters)
 
     @cached_property
     def moving(self) -> tuple[NDArray[np.intp], Regressors]:
@@ -209,23 +200,15 @@ class Regressors:
         own = np.flatnonzero(self.values.any(axis=1) | (self.held != 0.0))
         return own, Regressors(self.values[own], self.held[own])
 
-    def blocks(
-        self, start: InitialState, delay_samples: int, filters: Sequence[Filter]
-    ) -> Iterator[tuple[int, Array]]:
-        """First sample and rows of each block from ``start.first`` on, behind the filters and a delay."""
+    def late(self, start: InitialState, delay_samples: int) -> PlayColumns:
+        """Blocks of the columns behind a delay, which can be gone through many times."""
         values = np.roll(self.values, delay_samples, axis=1) if delay_samples else self.values
         if delay_samples and start.kind != "repeated":
             values[:, :delay_samples] = self.values[:, :1] if start.held else self.held[:, None]
-        states = [block.settled(self.held) for block in filters]
-        if start.kind == "repeated":
-            _filtered(values, filters, states)
-        elif start.held:
-            _filtered(np.repeat(values[:, :1], start.held, axis=1), filters, states)
-        for k in range(0, values.shape[1], BLOCK):
-            passed = _filtered(values[:, k : k + BLOCK], filters, states)
-            skip = max(start.first - k, 0)
-            if skip < passed.shape[1]:
-                yield k + skip, passed[:, skip:]
+        before: tuple[Array, ...] = (np.repeat(values[:, :1], start.held, axis=1),) if start.held else ()
+        before = (values,) if start.kind == "repeated" else before
+        counted = [(k, values[:, k : k + BLOCK]) for k in range(0, values.shape[1], BLOCK)]
+        return PlayColumns(self.held, before, counted)
 
 
 def _filtered(columns: Array, filters: Sequence[Filter], states: list[NDArray[Any]]) -> Array:
@@ -246,12 +229,15 @@ def _blocks(
 
     ``plays`` and ``signs`` hold the memory from block to block.
     """
+    from hammerstein.hysteresis.play_kernels import threshold_derivatives
+
     for k in range(0, u_v.shape[1], BLOCK):
         rows, moved = [], []
         for i, grid in enumerate(grids):
             outputs = _played(u_v[i, k : k + BLOCK], grid, plays[i])
             if signs is not None:
-                moved.append(_derivatives(outputs, plays[i], signs[i]))
+                moved.append(np.empty_like(outputs))
+                threshold_derivatives(outputs, plays[i], signs[i], moved[-1])
             plays[i] = outputs[:, -1].copy()
             outputs[:-1] -= outputs[1:]
             rows.append(outputs)
@@ -263,15 +249,6 @@ def _played(u: Array, grid: Array, before: Array) -> Array:
     if (u[0] - grid <= before).all() and (before <= u[0] + grid).all() and (u == u[0]).all():
         return np.repeat(before[:, None], len(u), axis=1)
     return play(u, grid, before)
-
-
-def _derivatives(outputs: Array, before: Array, signs: Array) -> Array:
-    """Derivatives (operator, sample) of plays by their thresholds; ``signs`` is carried on."""
-    from hammerstein.hysteresis.play_kernels import threshold_derivatives
-
-    derivatives = np.empty_like(outputs)
-    threshold_derivatives(outputs, before, signs, derivatives)
-    return derivatives
 
 
 def channel(block: LinearBlock, output: int, input_: int) -> LinearBlock | None:
@@ -304,7 +281,7 @@ def _closure(edges: NDArray[np.bool_], start: NDArray[np.bool_]) -> NDArray[np.b
 
 
 @dataclass(frozen=True, eq=False)
-class SideBySide:
+class SideBySide(ByValue):
     """Copies of a path with one input and one output, one for each column."""
 
     path: LinearBlock

@@ -8,9 +8,10 @@ from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Flags
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
@@ -26,6 +27,7 @@ from hammerstein.identification.static.normal_equations import (
 )
 from hammerstein.identification.static.regressors import (
     MOST_KEPT,
+    Filter,
     InitialState,
     PlayColumns,
     SideBySide,
@@ -90,14 +92,9 @@ class SlopeColumns(NamedTuple):
         for row in thresholds_v:
             ends = np.cumsum([len(r) for r in row])
             parts.append(tuple(slice(int(e) - len(r), int(e)) for e, r in zip(ends, row, strict=True)))
-            sums = np.zeros((sum(map(len, grids)), int(ends[-1])))
-            first = 0
-            for k, r in enumerate(row):
-                owner = np.searchsorted(r, grids[k], side="right") - 1
-                held = np.flatnonzero(owner >= 0)
-                sums[first + held, parts[-1][k].start + owner[held]] = 1.0
-                first += len(grids[k])
-            merge.append(sums)
+            owners = [np.searchsorted(*both, side="right") - 1 for both in zip(row, grids, strict=True)]
+            sums = [own[:, None] == np.arange(len(r)) for own, r in zip(owners, row, strict=True)]
+            merge.append(np.asarray(block_diag(*sums), dtype=np.float64))
         return cls(grids, tuple(merge), tuple(parts))
 
 
@@ -160,26 +157,36 @@ def static_moments(
     *,
     with_derivatives: bool = False,
     every: int = 1,
+    driven: bool = False,
 ) -> list[Moments]:
     """Moments of each output with the slope columns of all inputs, over all records.
 
     ``with_derivatives`` adds as many columns again: the derivatives of the plays by their thresholds.
-    ``every`` leaves out samples of the sums: 3 takes every third.
+    ``every`` leaves out samples of the sums: 3 takes every third. ``driven`` leaves out the plays of inputs
+    that rest in a record.
     """
-    p = len(records[0].y_um)
-    columns = sum(map(len, grids)) * (1 + with_derivatives)
+    p, sizes = len(records[0].y_um), [len(grid) for grid in grids]
     blocks = [through] * len(records) if isinstance(through, LinearBlock) else through or ()
-    parts = []
+    # records that drive the same inputs are summed first: another order rounds otherwise, and a search of
+    # thresholds may then take another way
+    alike: dict[tuple[bool, ...], list[list[Moments]]] = {}
     for i, (record, start) in enumerate(zip(records, starts, strict=True)):
-        plays = partial(PlayColumns.of, delayed(record, start, delay_samples), start, grids, with_derivatives)
-        filters = [path_filters(blocks, i, o, columns, p) for o in range(p)]
-        parts.append(_record_moments(record, start, plays, filters, columns, every))
+        moves = tuple(not driven or _is_driven(u, start) for u in record.u_v)
+        own = [grid if moved else grid[:0] for grid, moved in zip(grids, moves, strict=True)]
+        plays = partial(PlayColumns.of, delayed(record, start, delay_samples), start, own, with_derivatives)
+        filters = [path_filters(blocks, i, o, p) for o in range(p)]
+        held = np.tile(np.repeat(moves, sizes), 1 + with_derivatives)
+        alike.setdefault(moves, []).append(record_moments(record, start, plays, filters, held, every))
+    parts = [[pooled(part) for part in zip(*own, strict=True)] for own in alike.values()]
     return [pooled(part) for part in zip(*parts, strict=True)]
 
 
-def path_filters(
-    blocks: Sequence[LinearBlock], record: int, o: int, columns: int, p: int
-) -> list[SideBySide]:
+def _is_driven(u_v: Array, start: InitialState) -> bool:
+    """Whether an input moves in a record, its step from rest included."""
+    return bool(np.ptp(u_v) > 0.0 or (start.kind == "rest" and u_v[0] != 0.0))
+
+
+def path_filters(blocks: Sequence[LinearBlock], record: int, o: int, p: int) -> list[SideBySide]:
     """Path of one of p outputs in the block of a record; the block must not couple the outputs."""
     if not blocks:
         return []
@@ -194,24 +201,28 @@ def path_filters(
     return [SideBySide(own)]
 
 
-def _record_moments(
+def record_moments(
     record: Record,
     start: InitialState,
     plays: Callable[[], PlayColumns],
-    filters: Sequence[list[SideBySide]],
-    columns: int,
-    every: int,
+    filters: Sequence[Sequence[Filter]],
+    held: Flags,
+    every: int = 1,
 ) -> list[Moments]:
-    """Moments of each output with the plays behind its filters; those of outputs with one path at once."""
+    """Moments of each output with the plays behind its filters; those of outputs with one path at once.
+
+    held : (column,) whether the plays have a column, which is zero otherwise
+    """
+    columns, moving = len(held), np.flatnonzero(held)
 
     def gathered(outputs: Sequence[int], made: PlayColumns) -> Moments:
         y = record.y_um[list(outputs)]
         blocks = behind_filters(made, start, filters[outputs[0]])
         pairs = ((x[:, ::every], y[:, k : k + x.shape[1] : every]) for k, x in blocks)
-        return moments_of(pairs, columns, len(y))
+        return moments_of(pairs, columns, len(y), moving)
 
     outputs = range(len(filters))
-    if all([one.path for one in own] == [one.path for one in filters[0]] for own in filters):
+    if all(own == filters[0] for own in filters):
         whole = gathered(outputs, plays())
         return [whole.of_output(o) for o in outputs]
     kept = plays().kept() if columns * record.samples <= MOST_KEPT else None
@@ -236,13 +247,8 @@ def solve_static(
             _solve_output(layout, o, moment, ridge, bounds_of(solver, layout, o, gains))
             for o, moment in enumerate(moments)
         ]
-    offsets_um = np.column_stack(  # readings (record, output) that belong to an output of zero
-        [
-            moment.means[:, -1] - moment.means[:, :-1] @ (layout.merge[o] @ solution.coefficients)
-            for o, (moment, solution) in enumerate(zip(moments, solutions, strict=True))
-        ]
-    )
-    return as_block(thresholds_v, layout, free, solutions, offsets_um, moments[0].samples)
+    columns = [merge @ one.coefficients for merge, one in zip(layout.merge, solutions, strict=True)]
+    return as_block(thresholds_v, layout, free, solutions, columns, moments)
 
 
 def as_block(
@@ -250,20 +256,21 @@ def as_block(
     layout: SlopeColumns,
     free: Sequence[Solution],
     solutions: Sequence[Solution],
-    offsets_um: Array,
-    samples: int,
+    columns: Sequence[Array],
+    moments: Sequence[Moments],
 ) -> StaticFit:
-    """Static block of the slopes of each output; ``free`` are those that no bounds held."""
-    found = [
-        pairs_of(row, layout, o, solution.coefficients, solution.spread, int(solution.at_bound.sum()))
-        for o, (row, solution) in enumerate(zip(thresholds_v, solutions, strict=True))
-    ]
+    """Static block of the slopes of each output; ``free`` are those that no bounds held.
+
+    columns, moments : slopes of all columns behind which an output was read, and its moments with them
+    """
+    means = [(moment.means[:, -1], moment.means[:, :-1]) for moment in moments]
+    found = [_pairs_of(*each) for each in zip(thresholds_v, layout.parts, solutions, strict=True)]
     parts = [(o, k, part) for o, row in enumerate(layout.parts) for k, part in enumerate(row)]
     return StaticFit(
         hysteresis=PrandtlIshlinskii(tuple(pairs for pairs, _ in found), tuple(known for _, known in found)),
-        offsets_um=offsets_um,
+        offsets_um=np.column_stack([read - x @ c for (read, x), c in zip(means, columns, strict=True)]),
         rms_um=np.array([solution.residual_rms for solution in solutions]),
-        samples=samples,
+        samples=moments[0].samples,
         bounded=tuple(
             (o, k, int(j)) for o, k, part in parts for j in np.flatnonzero(solutions[o].at_bound[part])
         ),
@@ -283,12 +290,8 @@ def _solve_output(
 
 def _differences(parts: Sequence[slice]) -> Array:
     """Matrix from the slopes to the weights of all pairs of one output."""
-    size = parts[-1].stop
-    matrix = np.eye(size) - np.eye(size, k=-1)
-    for part in parts:
-        if 0 < part.start < size:
-            matrix[part.start, part.start - 1] = 0.0
-    return matrix
+    sizes = [part.stop - part.start for part in parts]
+    return np.asarray(block_diag(*[np.eye(n) - np.eye(n, k=-1) for n in sizes]))
 
 
 def ridge_of(parts: Sequence[slice], gram: Array, ridge: float) -> Array:
@@ -315,28 +318,22 @@ def gains_of(
 
 
 def bounds_of(solver: SquaresSolver, layout: SlopeColumns, o: int, gains: Array) -> Bounds:
-    """Bounds of the slopes of one output under a solver."""
-    return _nonnegative(layout, o, gains) if solver == "nonnegative" else _invertible(layout, o, gains)
+    """Bounds of the slopes of one output under a solver.
 
-
-def _nonnegative(layout: SlopeColumns, o: int, gains: Array) -> Bounds:
-    """All weights of a pair have the sign of its gain."""
-    side = np.zeros(layout.parts[o][-1].stop)
-    for part, gain in zip(layout.parts[o], gains[o], strict=True):
-        side[part] = 1.0 if gain >= 0.0 else -1.0
-    sums = np.asarray(np.linalg.inv(_differences(layout.parts[o])))
-    return Bounds(sums, side, np.zeros_like(side))
-
-
-def _invertible(layout: SlopeColumns, o: int, gains: Array) -> Bounds:
-    """Slopes of the direct pair keep its sign and stay away from zero."""
-    size = layout.parts[o][-1].stop
-    side, bound = np.zeros(size), np.zeros(size)
+    ``nonnegative``: all weights of a pair have the sign of its gain. ``invertible``: the slopes of the direct
+    pair keep its sign and stay away from zero.
+    """
+    parts = layout.parts[o]
+    side, bound = np.zeros((2, parts[-1].stop))
+    if solver == "nonnegative":
+        for part, gain in zip(parts, gains[o], strict=True):
+            side[part] = 1.0 if gain >= 0.0 else -1.0
+        return Bounds(np.asarray(np.linalg.inv(_differences(parts))), side, bound)
     for output, k in direct_pairs(gains):
         if output == o:
-            side[layout.parts[o][k]] = 1.0 if gains[o, k] > 0.0 else -1.0
-            bound[layout.parts[o][k]] = LEAST_SLOPE * gains[o, k]
-    return Bounds(np.eye(size), side, bound)
+            side[parts[k]] = 1.0 if gains[o, k] > 0.0 else -1.0
+            bound[parts[k]] = LEAST_SLOPE * gains[o, k]
+    return Bounds(np.eye(len(side)), side, bound)
 
 
 def direct_pairs(gains: Array) -> list[tuple[int, int]]:
@@ -346,23 +343,22 @@ def direct_pairs(gains: Array) -> list[tuple[int, int]]:
     return list(zip(outputs.tolist(), inputs.tolist(), strict=True))
 
 
-def pairs_of(
-    row: Sequence[Array], layout: SlopeColumns, o: int, slopes: Array, spread: Array, at_bound: int
+def _pairs_of(
+    row: Sequence[Array], parts: Sequence[slice], slopes: Solution
 ) -> tuple[tuple[Pair, ...], WeightCovariance]:
     """Pairs of one output with weights and standard errors, and the covariance of all its weights.
 
     Parameters
     ----------
     row : thresholds of each pair [V]
-    slopes, spread : estimates (slope,) and their ``Solution.spread``
-    at_bound : slopes held at a bound
+    parts : slopes of each pair
     """
-    differences = _differences(layout.parts[o])
-    weights = differences @ slopes
-    factor = triangle(differences @ spread)
+    differences = _differences(parts)
+    weights = differences @ slopes.coefficients
+    factor = triangle(differences @ slopes.spread)
     errors = np.sqrt(np.sum(factor**2, axis=1))
-    pairs = (Pair(r, weights[part], errors[part]) for r, part in zip(row, layout.parts[o], strict=True))
-    return tuple(pairs), WeightCovariance(factor, at_bound)
+    pairs = (Pair(r, weights[part], errors[part]) for r, part in zip(row, parts, strict=True))
+    return tuple(pairs), WeightCovariance(factor, int(slopes.at_bound.sum()))
 
 
 def half_swing(records: Sequence[Record]) -> Array:
@@ -401,10 +397,8 @@ def refuse_inseparable(record: Record, layout: SlopeColumns, moments: Sequence[M
     for o, moment in enumerate(moments):
         gram = layout.merge[o].T @ moment.gram @ layout.merge[o]
         bases = [_whitened(gram[part, part]) for part in layout.parts[o]]
-        columns = np.zeros((len(gram), sum(base.shape[1] for base in bases)))
+        columns = np.asarray(block_diag(*bases))
         owner = np.repeat(np.arange(len(bases)), [base.shape[1] for base in bases])
-        for k, (part, base) in enumerate(zip(layout.parts[o], bases, strict=True)):
-            columns[part, owner == k] = base
         values, vectors = np.linalg.eigh(columns.T @ gram @ columns)
         shared = np.abs(vectors[:, values < INSEPARABLE]).max(axis=1, initial=0.0) > SHARED
         names = [record.inputs[k] for k in np.unique(owner[shared])]

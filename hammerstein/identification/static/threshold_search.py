@@ -19,12 +19,11 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import LinearBlock
 from hammerstein.identification.static.damped_search import Damping, damped_change, steps
-from hammerstein.identification.static.normal_equations import Moments, coefficients, pooled, squares_left
+from hammerstein.identification.static.normal_equations import Moments, coefficients, squares_left
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit, half_swing, static_moments
 from hammerstein.identification.static.threshold_exchange import LEAST_GAP, exchanged, finer, losses, price
@@ -62,49 +61,13 @@ class ThresholdTask:
     through: Sequence[LinearBlock] = ()
     every: int = 1
 
-    @property
-    def reach_v(self) -> Array:
-        """Largest half swing of each input (input,) [V]."""
-        return half_swing(self.records)
-
     def moments(self, grids: Sequence[Array], *, with_derivatives: bool) -> list[Moments]:
         """Moments of each output with the differences of the plays, and their derivatives on request.
 
         Plays of inputs that rest in a record are excluded from its sums.
         """
-        driven = [
-            tuple(bool(np.ptp(u) > 0.0 or (start.kind == "rest" and u[0] != 0.0)) for u in record.u_v)
-            for record, start in zip(self.records, self.starts, strict=True)
-        ]
-        parts = [self._of_driven(grids, kind, driven, with_derivatives) for kind in dict.fromkeys(driven)]
-        return [pooled(part) for part in zip(*parts, strict=True)]
-
-    def _of_driven(
-        self, grids: Sequence[Array], kind: tuple[bool, ...], driven: list[tuple[bool, ...]], both: bool
-    ) -> list[Moments]:
-        """Moments of the records in which certain inputs are driven."""
-        own = [i for i, each in enumerate(driven) if each == kind]
-        parts = static_moments(
-            [self.records[i] for i in own],
-            [grid if moves else grid[:0] for grid, moves in zip(grids, kind, strict=True)],
-            [self.starts[i] for i in own],
-            self.delay_samples,
-            [self.through[i] for i in own] if self.through else None,
-            with_derivatives=both,
-            every=self.every,
-        )
-        held = np.repeat(kind, [len(grid) for grid in grids])
-        return [_spread(part, np.tile(held, 1 + both)) for part in parts]
-
-
-def _spread(moment: Moments, held: NDArray[np.bool_]) -> Moments:
-    """Moments of one output with columns of zeros where none was held."""
-    n = len(held)
-    gram, cross = np.zeros((n, n)), np.zeros((n, 1))
-    means = np.zeros((len(moment.means), n + 1))
-    gram[np.ix_(held, held)], cross[held] = moment.gram, moment.cross
-    means[:, np.append(held, True)] = moment.means
-    return Moments(gram, cross, moment.power, moment.samples, means)
+        known = self.records, grids, self.starts, self.delay_samples, self.through
+        return static_moments(*known, with_derivatives=with_derivatives, every=self.every, driven=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +141,7 @@ def search_near(
     here, idle = place_at(task, grids, unit), 0
 
     def step(here: Linearised, damping: float) -> Linearised:
-        return place_at(task, here.step(damping, task.reach_v), here.unit)
+        return place_at(task, here.step(damping, half_swing(task.records)), here.unit)
 
     for tried in islice(steps(here, step, lambda place: place.cost, DAMPING), MOST_STEPS):
         here, gain = tried.best, tried.before.criterion - tried.best.criterion
@@ -255,9 +218,9 @@ def fit_thresholds(task: ThresholdTask, grids: Sequence[Array], rounds: int = MO
     >>> fit_thresholds(ThresholdTask([record], [InitialState("rest")]), [np.array([1.0, 2.0])])[0].round(6)
     array([0.3, 1.7])
     """
-    here = place_at(task, tuple(grids))
+    here, reach_v = place_at(task, tuple(grids)), half_swing(task.records)
     for _ in range(rounds if any(grid.size for grid in grids) else 0):
-        fine = [finer(grid, float(top)) for grid, top in zip(here.grids, task.reach_v, strict=True)]
+        fine = [finer(grid, float(top)) for grid, top in zip(here.grids, reach_v, strict=True)]
         moments = task.moments(fine, with_derivatives=False)
         there = search_near(task, exchanged(moments, fine, here.grids, here.unit), here.unit)
         gain = here.criterion - there.criterion
@@ -302,7 +265,7 @@ def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
             slopes = split(coefficients(moment.gram, moment.cross[:, 0]), grids)
             gains = [
                 float(np.diff(own, prepend=0.0) @ (top - r)) / top if r.size else 0.0
-                for own, r, top in zip(slopes, grids, task.reach_v, strict=True)
+                for own, r, top in zip(slopes, grids, half_swing(task.records), strict=True)
             ]
             largest = max(*map(abs, gains), np.finfo(float).tiny)
             steepness = np.maximum(steepness, np.abs(np.concatenate(slopes)) / largest)
