@@ -185,8 +185,7 @@ class Settings(ByValue):
             yield Mistake("ridge", RIDGE.words())
         if self.dead_zones is not None and not 0 <= self.dead_zones <= MOST_DEAD_ZONES:
             yield Mistake("dead_zones", f"must be 0 to {MOST_DEAD_ZONES}")
-        arrays = () if self.thresholds_v is None else _arrays(self.thresholds_v)
-        if not all(all(map(THRESHOLD_V.holds, r)) and (np.diff(r) > 0.0).all() for r in arrays):
+        if self.thresholds_v is not None and not _rise(self.thresholds_v):
             yield Mistake("thresholds", f"{THRESHOLD_V.words()}, each larger than the previous one")
 
     @property
@@ -258,13 +257,15 @@ class Settings(ByValue):
         return rows
 
 
-def _arrays(thresholds_v: Any) -> Iterator[Array]:
-    """Each array of thresholds, however they are nested."""
-    if all(np.ndim(part) == 0 for part in thresholds_v):
-        yield np.asarray(thresholds_v, dtype=np.float64)
-    else:
-        for part in thresholds_v:
-            yield from _arrays(part)
+def _rise(thresholds_v: Any) -> bool:
+    """Whether every array of thresholds, however they are nested, holds thresholds that rise."""
+    try:
+        if any(np.ndim(part) for part in thresholds_v):
+            return all(map(_rise, thresholds_v))
+        r = np.asarray(thresholds_v, dtype=np.float64)
+    except (TypeError, ValueError):  # one number in place of an array, or a word
+        return False
+    return all(map(THRESHOLD_V.holds, r)) and bool((np.diff(r) > 0.0).all())
 
 
 def _whole(value: Any) -> bool:

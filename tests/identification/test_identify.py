@@ -512,3 +512,11 @@ def test_the_response_of_a_model_is_estimated_as_that_of_the_records(bimorph_fit
         assert sure.sum() > 5
         apart.append(np.abs(model / measured - 1.0)[sure].max())
     assert max(apart) < 0.02
+
+
+@pytest.mark.parametrize(
+    "given", [-1.0, 5.0, "a", [["x"]], [[0.0, 1.0], 2.0], [1.0, 0.5], [[[0.0, 1.0], [2.0, 1.0]]]]
+)
+def test_thresholds_that_are_none_are_refused(given):
+    with pytest.raises(InputError, match="each larger than the previous one"):
+        Settings(thresholds_v=given)
