@@ -24,7 +24,6 @@ from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
-from hammerstein.identification.score import SensorModel
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics.arrays import settled_cycle
 from hammerstein.model import HammersteinModel
@@ -226,6 +225,7 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
 def _loop_fit(plant: Plant, spec: LoopFitSpec, seeds: list[int]) -> HammersteinModel:
     """Plays in the loop of a state space, from multisines at several levels on all inputs together."""
     from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+    from hammerstein.identification.score import SensorModel
 
     settings = LoopSettings(spec.order, spec.minutes, SensorModel(_known_hz(plant)))
     name = "hysteresis in the loop"
