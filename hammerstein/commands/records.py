@@ -242,7 +242,8 @@ class InLoop:
             return identified.settings(**static), None
         order = identified.order if identified.dynamics == "state_space" else None
         cascade = identified.settings(**static, order=order)
-        return cascade, LoopSettings(identified.order, self.minutes, cascade.sensor, cascade.accept_order)
+        known = identified.sensor_bandwidth, identified.sensor_delay, identified.accept_order
+        return cascade, LoopSettings(identified.order, self.minutes, *known)
 
 
 @dataclass(frozen=True)

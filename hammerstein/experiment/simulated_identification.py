@@ -225,9 +225,8 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
 def _loop_fit(plant: Plant, spec: LoopFitSpec, seeds: list[int]) -> HammersteinModel:
     """Plays in the loop of a state space, from multisines at several levels on all inputs together."""
     from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-    from hammerstein.identification.score import SensorModel
 
-    settings = LoopSettings(spec.order, spec.minutes, SensorModel(_known_hz(plant)))
+    settings = LoopSettings(spec.order, spec.minutes, _known_hz(plant))
     name = "hysteresis in the loop"
     model, _ = identify_in_loop(list(_settled_records(plant, spec, seeds)), settings, name=name)
     return replace(model, instruments=plant.instruments)

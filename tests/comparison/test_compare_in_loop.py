@@ -31,7 +31,7 @@ from hammerstein.identification.in_loop.search import SettledPeriod
 from hammerstein.identification.in_loop.selection import Selection
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.options import PLAYS
-from hammerstein.identification.score import Candidate, SensorModel
+from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import gain_model
 from hammerstein.records.record import Record
@@ -188,4 +188,4 @@ def test_the_command_takes_a_known_sensor(tmp_path, monkeypatch):
     for command, out in (("identify", "m.json"), ("compare", "out")):
         done = CliRunner().invoke(app, [command, *files, *words, *sensor, "--out", str(tmp_path / out)])
         assert "were given" in str(done.exception)
-    assert asked == 2 * [LoopSettings(6, 2.0, SensorModel(2000.0, 1e-4), accept_order=True)]
+    assert asked == 2 * [LoopSettings(6, 2.0, 2000.0, 1e-4, accept_order=True)]

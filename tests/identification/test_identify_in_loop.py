@@ -171,6 +171,14 @@ def test_outputs_that_lead_can_be_accepted():
         identify_in_loop(early, replace(SHORT, accept_order=True), progress=lambda text: stop())
 
 
+@pytest.mark.parametrize(
+    "known", [{"sensor_bandwidth_hz": 0.0}, {"sensor_bandwidth_hz": float("nan")}, {"sensor_delay_s": -1.0}]
+)
+def test_a_sensor_that_cannot_be_is_refused_before_the_search(known):
+    with pytest.raises(InputError, match=next(iter(known))):
+        identify_in_loop(records(), replace(SHORT, **known), progress=lambda text: stop())
+
+
 def triangle(amplitude):
     return amplitude * (2.0 * np.abs(np.arange(SAMPLES)[None] / SAMPLES - 0.5) - 0.5)
 

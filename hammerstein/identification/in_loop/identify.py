@@ -8,7 +8,7 @@ import operator
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -44,6 +44,7 @@ from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, SensorModel, score
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import gain_model, state_space
 from hammerstein.identification.static.static_block import half_swing, swing_ends
 from hammerstein.model import HammersteinModel
@@ -75,14 +76,22 @@ class LoopSettings:
 
     order : states of the linear block, even; found from the number of outputs if not given
     minutes : of search after which the best model found is given; what an interruption lost does not count
-    sensor : known from its data sheet; the readings are freed of its lag and delay first
+    sensor_bandwidth_hz, sensor_delay_s : of the sensor, from its data sheet, as for ``Settings``; the
+        readings are freed of its lag and delay first
     accept_order : whether an output may lead its input
     """
 
     order: int | None = None
     minutes: float = 60.0
-    sensor: SensorModel = field(default_factory=SensorModel)
+    sensor_bandwidth_hz: float | None = None
+    sensor_delay_s: float = 0.0
     accept_order: bool = False
+
+    @property
+    def sensor(self) -> SensorModel:
+        """What is known of the sensor; InputError where that is impossible."""
+        bandwidth_hz, delay_s = self.sensor_bandwidth_hz, self.sensor_delay_s
+        return Settings(sensor_bandwidth_hz=bandwidth_hz, sensor_delay_s=delay_s).sensor
 
 
 @one_blas_thread()
