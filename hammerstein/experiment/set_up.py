@@ -328,14 +328,14 @@ def _models(
     sources: list[ModelSource] = [s for s in (*scenario.compensators, *scenario.models) if s.is_tested]
     asked = {source.identification for source in sources}
     experiments = {spec: i for spec, i in scenario.experiments().items() if spec in asked}
-    identified = identify_each(plant, experiments, scenario.seed, store, jobs)
+    done = identify_each(plant, experiments, scenario.seed, store, jobs) if experiments else iter(())
     for i, source in enumerate(sources):
         if progress:
             progress(f"identifying{on_workers(jobs)}", i, len(sources))
         spec = source.identification
         if spec is not None and spec not in found:
             try:
-                found[spec] = next(identified)
+                found[spec] = next(done)
             except (InputError, SimulationError, IdentificationError) as error:
                 raise labelled(f"identification of {source.label!r}", error) from None
         models[source.label] = loaded(str(source.model)) if spec is None else found[spec]
