@@ -243,7 +243,8 @@ class InLoop:
         order = identified.order if identified.dynamics == "state_space" else None
         cascade = identified.settings(**static, order=order)
         known = identified.sensor_bandwidth, identified.sensor_delay, identified.accept_order
-        return cascade, LoopSettings(identified.order, self.minutes, *known)
+        with told_by_options("identification"):
+            return cascade, LoopSettings(identified.order, self.minutes, *known)
 
 
 @dataclass(frozen=True)

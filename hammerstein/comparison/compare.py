@@ -59,9 +59,10 @@ def frequencies(records: Sequence[Record]) -> list[float]:
     return [next(float(f"{np.mean(group):.3g}") for group in groups if hz in group) for hz in own]
 
 
-def scores_at(one: Fitted, records: Sequence[Record], starts: Sequence[InitialState]) -> dict[float, Score]:
-    """Errors of a model on the records of each frequency, lowest first."""
-    own = frequencies(records)
+def scores_at(
+    one: Fitted, own: Sequence[float], records: Sequence[Record], starts: Sequence[InitialState]
+) -> dict[float, Score]:
+    """Errors of a model on the records of each of their own frequencies, lowest first."""
     pairs = list(zip(records, starts, strict=True))
     found = {}
     for hz in sorted(set(own)):
@@ -165,7 +166,8 @@ def compare(
     records : experiments on one actuator, as for ``identify``
     settings : how each kind is identified; its ``hysteresis`` and ``dead_zones`` are not used
     validation : validation records: reported, never used to choose
-    in_loop : also try hysteresis in the loop of a state space, as ``identify_in_loop`` does; it takes minutes
+    in_loop : also try hysteresis in the loop of a state space, as ``identify_in_loop`` does; it takes
+        minutes. What is known of the sensor, and ``accept_order``, are those of ``settings``
     jobs : number of parallel processes, or an executor of ``concurrent.futures``
     progress : called with the current step, the number of finished identifications, and their total
 
@@ -224,12 +226,15 @@ def compare(
         best, taken, good = loop.fitted, loop.fitted, loop.good
     elif loop:
         good |= loop.good & {IN_LOOP}
+    own = frequencies(ready), frequencies(held)
     entries = [
-        _entry(one, inverse, trial, one.name in good, best, (ready, held))
+        _entry(one, inverse, trial, one.name in good, best, (ready, held), own)
         for one, inverse, trial in zip(fitted, inverses, trials, strict=True)
     ]
     if isinstance(loop, LoopFit):
-        entries.append(_entry(loop.fitted, loop.inverse, loop.trial, IN_LOOP in good, best, loop.records))
+        entries.append(
+            _entry(loop.fitted, loop.inverse, loop.trial, IN_LOOP in good, best, loop.records, own)
+        )
     return Comparison(
         tuple(sorted(entries, key=lambda entry: entry.parameters)),
         tuple(failed),
@@ -265,8 +270,12 @@ def _entry(
     good: bool,
     best: Fitted,
     records: tuple[tuple[Record, ...], tuple[Record, ...]],
+    own: tuple[Sequence[float], Sequence[float]],
 ) -> Compared:
-    """All results of one model."""
+    """All results of one model.
+
+    records, own : fitted and validation records, and the frequency of each; those of all models are alike
+    """
     ready, held = records
     missed = record_flags(one.candidate, [*ready, *held], [*one.starts, *one.held_starts])
     return Compared(
@@ -276,8 +285,8 @@ def _entry(
         parameters=trial.parameters,
         fitted=score(one.candidate, ready, one.starts),
         held=score(one.candidate, held, one.held_starts) if held else None,
-        fitted_at=scores_at(one, ready, one.starts),
-        held_at=scores_at(one, held, one.held_starts),
+        fitted_at=scores_at(one, own[0], ready, one.starts),
+        held_at=scores_at(one, own[1], held, one.held_starts),
         folds_percent=trial.percent,
         as_good=good,
         seconds=one.seconds,

@@ -12,7 +12,7 @@ from hammerstein.arrays import Array
 from hammerstein.dynamics.feedback_block import FeedbackBlock, InputProducts, ProductsFile
 from hammerstein.dynamics.linear_block import CONTINUOUS
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Pair, PrandtlIshlinskii
-from hammerstein.quantities import Delay, Entry, Range, SampleTime, sampling
+from hammerstein.quantities import Delay, Entry, Range, SampleTime, number_of, sampling
 from hammerstein.validation import Strict
 
 Matrix = tuple[tuple[Entry, ...], ...]
@@ -207,7 +207,7 @@ class StackAxis(StackMode):
     def describe(self) -> str:
         """Short description."""
         resonances = " and ".join(f"{mode.angular / (2.0 * np.pi):.4g}" for mode in self.modes)
-        return f"{resonances} Hz with {len(self.stops)} stops"
+        return f"{resonances} Hz with {number_of(len(self.stops), 'stop')}"
 
     def charge(self) -> Pair:
         """Plays of s = C u + T x whose sum is the charge q.

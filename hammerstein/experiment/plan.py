@@ -49,6 +49,7 @@ SECONDS_A_LOOKED_AHEAD_SAMPLE = 5e-8
 SECONDS_A_FED_BACK_SAMPLE = 3.5e-7
 SECONDS_A_LEARNT_SAMPLE = 3e-6
 SECONDS_OF_A_FIT, SECONDS_A_FITTED_SAMPLE = 1.5, 4e-5
+SECONDS_A_SEARCHED_SAMPLE = 1.3e-3  # of hysteresis in the loop
 # Of a random actuator: to make it, and each run, whose voltages are known
 SECONDS_A_DRAW, SECONDS_A_DRAWN_CASE, SECONDS_A_DRAWN_SAMPLE = 5e-4, 1.3e-4, 4.3e-8
 BYTES_A_ROW = 3_000
@@ -220,7 +221,8 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
         elif isinstance(spec, LoopFitSpec):
             samples = len(spec.levels) * spec.experiments * spec.record_s / step
             words = f"the identification of {label!r} from {samples:.3g} samples"
-            needed, seconds = COPIES * run_bytes(samples, m, p), 60.0
+            needed = COPIES * run_bytes(samples, m, p)
+            seconds = min(60.0 * spec.minutes, p * samples * SECONDS_A_SEARCHED_SAMPLE)
             keys = "its record_s, levels or experiments, or raise sample_time_s"
         else:
             samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step

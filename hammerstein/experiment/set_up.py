@@ -146,8 +146,8 @@ class SetUp:
         return _following(plant, plant.driven(asked_v, True, out=drive_v), path_um, case)
 
     def _going_on(self, case: Case, path_um: Array, ahead: int) -> Array:
-        """The path and as much of what follows as a law looks ahead; it ends with no run, as at a set-up."""
-        if not ahead:
+        """The path and as much of what follows as a law looks ahead, where it goes on beyond the run."""
+        if not (ahead and case.signal.periodic):
             return path_um
         samples = path_um.shape[1]
         return np.hstack([path_um, self._values(case, samples, samples + ahead)])

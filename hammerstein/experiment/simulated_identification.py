@@ -129,8 +129,8 @@ REST_SAMPLES = 20
 """At rest before each record, by which a start at rest is seen."""
 CREEP_SAMPLES = 12_000
 """Of the slow record: creep is slower than a hundred samples of it."""
-SETTLING = 3
-"""Periods of a multisine before those that are recorded."""
+SETTLING, UNSETTLED = (3, 6, 12, 24, 48), 1e-3
+"""Periods of a multisine before two that are recorded, until these differ by noise and such a part alone."""
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
 """Slow steps of the creep record, in parts of the amplitude; each lasts a sixth of it."""
 
@@ -224,12 +224,16 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
 
 def _loop_fit(plant: Plant, spec: LoopFitSpec, seeds: list[int]) -> HammersteinModel:
     """Plays in the loop of a state space, from multisines at several levels on all inputs together."""
-    from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
+    from hammerstein.identification.in_loop.identify import LATE, LoopSettings, identify_in_loop
 
     settings = LoopSettings(spec.order, spec.minutes, _known_hz(plant))
-    name = "hysteresis in the loop"
-    model, _ = identify_in_loop(list(_settled_records(plant, spec, seeds)), settings, name=name)
-    return replace(model, instruments=plant.instruments)
+    drive, name = _Excursion.of(plant, spec.amplitude_v), "hysteresis in the loop"
+    model, fit = identify_in_loop(list(_settled_records(plant, spec, drive, seeds)), settings, name=name)
+    if any(note.startswith(LATE) for note in fit.notes):
+        what = "ended the search; raise minutes, because what it found by then depends on the machine"
+        raise IdentificationError(f"{LATE} {spec.minutes:g} minutes {what}")
+    ends = (drive.rest_v + end for end in (model.recorded.lowest_v, model.recorded.highest_v))
+    return replace(model, instruments=plant.instruments, voltages=Voltages.of(drive.rest_v, *ends))
 
 
 def _known_hz(plant: Plant) -> float | None:
@@ -300,28 +304,32 @@ def _records(plant: Plant, spec: JointFitSpec, drive: _Excursion, seeds: list[in
     ]
 
 
-def _settled_records(plant: Plant, spec: LoopFitSpec, seeds: list[int]) -> Iterator[Record]:
-    """Two settled periods of a multisine at each level, as often as asked for; from rest each time."""
-    drive, n = _Excursion.of(plant, spec.amplitude_v), round(spec.record_s / plant.sample_time_s)
-    lowest = 1.0 / (n * plant.sample_time_s)
-    time_s = plant.sample_time_s * np.arange((SETTLING + 2) * n, dtype=np.float64)
-    grown = smooth_step(np.arange(len(time_s)) / n)
+def _settled_records(
+    plant: Plant, spec: LoopFitSpec, drive: _Excursion, seeds: list[int]
+) -> Iterator[Record]:
+    """Two settled periods of a multisine at each level, from rest each time; voltages count from there."""
+    n, m = round(spec.record_s / plant.sample_time_s), len(drive.amplitude_v)
+    lowest, highest = 1.0 / (n * plant.sample_time_s), spec.highest_frequency_hz
     for i, level in enumerate(np.tile(spec.levels, spec.experiments).tolist(), start=1):
-        wave = Multisine(
-            amplitude=1.0, lowest_hz=lowest, highest_hz=spec.highest_frequency_hz, seed=seeds[0] + i
-        )
-        waves = level * drive.amplitude_v[:, None] * wave.sample(time_s, len(drive.amplitude_v))
-        about = (drive.centre_v - drive.rest_v)[:, None] + waves
-        response = plant.respond(drive.rest_v[:, None] + grown * about, [*seeds, i])
-        yield Record(
-            response.drive_v[:, -2 * n :],
-            response.reading_um[:, -2 * n :],
-            plant.sample_time_s,
-            inputs=plant.model.inputs,
-            outputs=plant.model.outputs,
-            source=f"simulated, experiment {i}",
-            period_samples=n,
-        )
+        wave = Multisine(amplitude=1.0, lowest_hz=lowest, highest_hz=highest, seed=seeds[0] + i)
+        for before in SETTLING:
+            time_s = plant.sample_time_s * np.arange((before + 2) * n, dtype=np.float64)
+            about = (drive.centre_v - drive.rest_v)[:, None] + (
+                level * drive.amplitude_v[:, None] * wave.sample(time_s, m)
+            )
+            grown = smooth_step(np.arange(len(time_s)) / n) * about
+            response = plant.respond(drive.rest_v[:, None] + grown, [*seeds, i])
+            u, y = response.drive_v[:, -2 * n :] - drive.rest_v[:, None], response.reading_um[:, -2 * n :]
+            if _repeats(y, plant.instruments.sensor.noise_um):
+                break
+        yield Record(u, y, plant.sample_time_s, source=f"simulated, experiment {i}", period_samples=n)
+
+
+def _repeats(y_um: Array, noise_um: float) -> bool:
+    """Whether two periods (output, sample) are alike, but for a noise that is known."""
+    one, other = np.split(y_um, 2, axis=1)
+    moved = np.sqrt(np.mean((other - one) ** 2, axis=1))
+    return bool((moved <= 2.0 * noise_um + UNSETTLED * other.std(axis=1)).all())
 
 
 def _settled_loop(

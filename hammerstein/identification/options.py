@@ -14,6 +14,8 @@ DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
 InitialStateMode = Literal["auto", "rest", "repeated"]
 MOST_DEAD_ZONES = 50
 """Most that are taken of an input."""
+FEWEST_EXPERIMENTS = 3
+"""Experiments that a search for hysteresis in the loop takes."""
 PLAYS = "prandtl_ishlinskii"
 """Kind that is fitted where no other one is asked for."""
 

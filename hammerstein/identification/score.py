@@ -94,8 +94,7 @@ class SensorModel:
         """The prompt record with readings of a sensor without lag or delay.
 
         Each line f of their spectrum is multiplied by (1 + j f / bandwidth) e^(j 2 pi f delay), and so is
-        noise. Settled periods repeat; any other record is taken to go back the way it came, so that its last
-        samples are less accurate.
+        noise. Settled periods repeat; any other record goes on as its image in its last point, and back.
 
         Examples
         --------
@@ -109,7 +108,8 @@ class SensorModel:
         if self.bandwidth_hz is None and not part_s:
             return record
         if record.period_samples is None or record.samples % record.period_samples:
-            read = np.hstack([read, read[:, ::-1]])
+            read = np.hstack([read, 2.0 * read[:, -1:] - read[:, -2::-1]])
+            read = np.hstack([read, read[:, -2:0:-1]])
         hz = np.fft.rfftfreq(read.shape[1], record.sample_time_s)
         ahead = (1.0 + 1j * hz / (self.bandwidth_hz or np.inf)) * np.exp(2j * np.pi * hz * part_s)
         y = np.fft.irfft(ahead * np.fft.rfft(read), read.shape[1])[:, : record.samples]

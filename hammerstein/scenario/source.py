@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import sys
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.learning import Learned  # noqa: F401  (a kind of compensator that registers itself)
 from hammerstein.hysteresis.kind import refuse_unbuilt
-from hammerstein.identification.options import MOST_DEAD_ZONES, DynamicsKind, Partition, known_kind
+from hammerstein.identification.options import (
+    FEWEST_EXPERIMENTS,
+    MOST_DEAD_ZONES,
+    DynamicsKind,
+    Partition,
+    known_kind,
+)
 from hammerstein.quantities import (
     Cycles,
     FileName,
@@ -23,6 +29,7 @@ from hammerstein.quantities import (
     SampleTime,
     Size,
 )
+from hammerstein.signals import MOST_LINES
 from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
@@ -138,11 +145,21 @@ class LoopFitSpec(Strict):
     )
     experiments: Annotated[int, Range(1, 1000)] = Field(default=2, description="multisines at each level")
     record_s: Length = Field(default=0.1, description="period of the multisines; lines are 1/period apart")
-    sample_time_s: OwnSampleTime = None
     order: Annotated[int, Range(1, 100)] | None = Field(
-        default=None, description="states of the linear dynamics; searched if omitted"
+        default=None, description="states of the dynamics of all axes together; searched if omitted"
     )
     minutes: Minutes = Field(default=60.0, description="time limit of the search")
+
+    sample_time_s: ClassVar[None] = None  # its model has the grid of its records, which is that of the run
+
+    @model_validator(mode="after")
+    def _can_be_done(self) -> Self:
+        if len(self.levels) * self.experiments < FEWEST_EXPERIMENTS:
+            fewest = f"{FEWEST_EXPERIMENTS} or more, because some select the structure"
+            raise ValueError(f"the number of levels times experiments must be {fewest}")
+        if not 1.0 < self.highest_frequency_hz * self.record_s <= MOST_LINES:
+            raise ValueError(f"highest_frequency_hz times record_s must be 1 to {MOST_LINES}, the lines")
+        return self
 
 
 def _method(value: Any) -> str:
@@ -189,10 +206,23 @@ class ModelSource(Strict):
         return self
 
 
+OF_LINEAR_DYNAMICS = "exact_inverse", "decoupled_inverse", "inverse_multiplicative", "feedback"
+"""Laws that have no form for hysteresis in the loop of the dynamics."""
+
+
 class TestedCompensator(ModelSource, Compensator):
     """A compensator with its label and the source of its model."""
 
     __test__ = False  # no test, whatever pytest thinks of its name
+
+    @model_validator(mode="after")
+    def _takes_its_model(self) -> Self:
+        if isinstance(self.identification, LoopFitSpec) and self.law in OF_LINEAR_DYNAMICS:
+            raise ValueError(
+                f"identification: {self.law} takes linear dynamics; with hysteresis_in_loop use "
+                "hammerstein_inverse, learned or none"
+            )
+        return self
 
 
 @cache

@@ -153,9 +153,12 @@ def test_a_known_sensor_is_no_part_of_any_model(monkeypatch):
     levels_v, hz = (3.0, 6.0, 12.0), 1500.0
     plain, seen = ([record(r, k, levels_v[k % 3]) for k in range(6)] for r in (stack(), behind(stack(), hz)))
     ideal = hammerstein.compare(plain, KNOWN, in_loop=SHORT)
-    known = hammerstein.compare(seen, replace(KNOWN, sensor_bandwidth_hz=hz), in_loop=SHORT)
+    late = [replace(r, y_um=np.roll(r.y_um, 1, axis=1), period_samples=None) for r in seen]
+    sensor = {"sensor_bandwidth_hz": hz, "sensor_delay_s": TIME_S}
+    known = hammerstein.compare(late, replace(KNOWN, **sensor), in_loop=SHORT)
     unknown = hammerstein.compare(seen, KNOWN, in_loop=SHORT)
     assert known.recommended == NAME
+    assert len({tuple(entry.fitted_at) for entry in known.entries}) == 1  # one set of frequencies for a table
     assert known.unseen.rival_percent == pytest.approx(ideal.unseen.rival_percent, rel=0.05)
     assert known[NAME].model.instruments.sensor.bandwidth_hz == hz
     u = record(stack(), 50, 9.0).u_v

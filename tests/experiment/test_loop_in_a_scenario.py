@@ -1,13 +1,19 @@
 """Hysteresis in the loop, identified from the experiments of a scenario."""
 
+import numpy as np
 import pytest
 
 import hammerstein
+from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis
-from hammerstein.errors import InputError
+from hammerstein.errors import IdentificationError, InputError
+from hammerstein.experiment.simulated_identification import _Excursion, _settled_records
 from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.model.simulation import Plant
+from hammerstein.scenario.source import OF_LINEAR_DYNAMICS, LoopFitSpec
 
+QUIET = Instruments(drive=Drive(range_v=100.0), sensor=Sensor(noise_um=0.0, resolution_um=0.0))
 LOOP = {
     "method": "hysteresis_in_loop",
     "amplitude_v": 36.0,
@@ -24,13 +30,13 @@ CASCADE = {
 }
 
 
-def stack(tmp_path, voltages=None):
+def stack(tmp_path, voltages=None, damping=120.0):
     """File of a stack of 400 Hz whose resonance falls with the amplitude."""
     stops = ((0.3, 0.9), (0.2, 3.0), (0.1, 12.0))
     axis = StackAxis(
         mass_kg=0.5,
         stiffness_n_per_um=3.16,
-        damping_ns_per_m=120.0,
+        damping_ns_per_m=damping,
         capacitance_uf=2.0,
         force_n_per_v=1.2,
         stops=tuple(ElastoSlip(stiffness_v_per_uc=k, threshold_uc=r) for k, r in stops),
@@ -76,13 +82,58 @@ def test_a_cascade_cannot_move_a_resonance(tmp_path):
 
 
 @pytest.mark.full
-def test_a_loop_of_positive_voltages_alone(tmp_path):
-    """0 to 100 V, at rest at 0 V: its records lie about 50 V, the path in the middle of its reach."""
-    middle = stack(tmp_path, Voltages.of([0.0], [0.0], [100.0]))
-    more = {"reference": {"kind": "sine", "amplitude_um": 4.0, "offset_um": 15.0, "frequency_hz": 100.0}}
-    unipolar = {"instruments": {"drive": {"range_v": [0.0, 100.0]}}}
-    found = errors_um(hammerstein.run(scenario(middle, LOOP | {"amplitude_v": 45.0}, **more, **unipolar)))
+@pytest.mark.parametrize(("rest_v", "offset_um"), [(0.0, 15.0), (50.0, 0.0)])
+def test_a_loop_of_positive_voltages_alone(tmp_path, rest_v, offset_um):
+    """0 to 100 V, at rest at 0 V or in the middle: its records lie about 50 V, and so does the path."""
+    actuator = stack(tmp_path, Voltages.of([rest_v], [0.0], [100.0]))
+    sine = {"kind": "sine", "amplitude_um": 4.0, "offset_um": offset_um, "frequency_hz": 100.0}
+    more = {"reference": sine, "instruments": {"drive": {"range_v": [0.0, 100.0]}}}
+    found = errors_um(hammerstein.run(scenario(actuator, LOOP | {"amplitude_v": 45.0}, **more)))
     assert found["hysteresis_in_loop"] < 0.02
+
+
+def test_periods_are_recorded_once_they_repeat(tmp_path):
+    """A resonance of quality 105 rings for ten periods of the multisine."""
+    plant = Plant(hammerstein.HammersteinModel.load(stack(tmp_path, damping=12.0)), QUIET)
+    spec = LoopFitSpec.model_validate(LOOP)
+    drive = _Excursion.of(plant, spec.amplitude_v)
+    for record in _settled_records(plant, spec, drive, [3, 0, 1]):
+        one, other = np.split(record.y_um, 2, axis=1)
+        assert (other - one).std() < 1.1e-3 * other.std()
+
+
+def test_a_search_that_the_clock_ends_is_no_result(tmp_path, monkeypatch):
+    """Its numbers would depend on the machine, and be kept."""
+    now_s = iter(range(10**6))
+    monkeypatch.setattr("hammerstein.identification.in_loop.identify.time.monotonic", lambda: next(now_s))
+    with pytest.raises(
+        IdentificationError, match=r"time limit of 0\.1 minutes ended the search; raise minutes"
+    ):
+        hammerstein.run(scenario(stack(tmp_path), LOOP | {"minutes": 0.1}, seed=5))
+
+
+@pytest.mark.parametrize("law", OF_LINEAR_DYNAMICS)
+def test_laws_of_linear_dynamics_are_refused_before_the_search(tmp_path, law):
+    asked = scenario(stack(tmp_path), LOOP)
+    asked["compensators"][0]["law"] = law
+    with pytest.raises(InputError, match=f"{law} takes linear dynamics; with hysteresis_in_loop use"):
+        hammerstein.run(asked)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"levels": [0.5, 1.0], "experiments": 1}, "number of levels times experiments must be 3 or more"),
+        ({"highest_frequency_hz": 15.0}, "highest_frequency_hz times record_s must be 1 to 2000"),
+        ({"record_s": 10.0}, "highest_frequency_hz times record_s must be 1 to 2000"),
+        ({"minutes": 0.0}, "minutes"),
+        ({"order": 0}, "order"),
+        ({"sample_time_s": 1e-4}, "sample_time_s"),
+    ],
+)
+def test_experiments_that_cannot_be_done_are_refused(tmp_path, given, said):
+    with pytest.raises(InputError, match=said):
+        hammerstein.run(scenario(stack(tmp_path), LOOP | given))
 
 
 def test_its_experiments_stay_below_half_the_sample_rate(tmp_path):

@@ -122,3 +122,17 @@ def test_what_is_said_of_two_runs_at_once_names_no_owner():
     shared = [said for said in gathered(report.statements) if said.startswith("paper 0;")]
     assert [said.count("; paper 1, all at") for said in shared] == [1]
     assert " its " not in shared[0]
+
+
+def test_a_file_does_not_go_on_beyond_its_last_row(tmp_path):
+    """A law that saw it stand there would prepare a corner: the voltages are those of the path alone."""
+    time_s = 1e-4 * np.arange(400)
+    rows = np.stack([time_s, 5.0 * (1.0 - np.cos(150.0 * time_s)), 0.0 * time_s], axis=1)
+    np.savetxt(tmp_path / "path.csv", rows, delimiter=",", header="time_s,x [um],y [um]", comments="")
+    law = {"label": "ahead", "law": "hammerstein_inverse", "model": "duo_bimorph", "filter_hz": 500.0}
+    asked = {"question": "?", "actuator": "duo_bimorph", "compensators": [law]}
+    asked["reference"] = {"kind": "file", "path": str(tmp_path / "path.csv")}
+    here = set_up(Scenario.model_validate(asked))
+    (case,) = here.cases()
+    found = here.simulate(case)
+    assert np.array_equal(found.requested_v, here.laws["ahead"].drive_for(found.reference_um))

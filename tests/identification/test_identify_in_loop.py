@@ -172,11 +172,17 @@ def test_outputs_that_lead_can_be_accepted():
 
 
 @pytest.mark.parametrize(
-    "known", [{"sensor_bandwidth_hz": 0.0}, {"sensor_bandwidth_hz": float("nan")}, {"sensor_delay_s": -1.0}]
+    ("name", "value"),
+    [
+        *(("sensor_bandwidth_hz", value) for value in (0.0, -1000.0, np.nan)),
+        *(("sensor_delay_s", value) for value in (-1.0, np.nan)),
+        *(("order", value) for value in (0, -2, 2.5, "4", 500)),
+        *(("minutes", value) for value in (0.0, -1.0, np.nan, np.inf)),
+    ],
 )
-def test_a_sensor_that_cannot_be_is_refused_before_the_search(known):
-    with pytest.raises(InputError, match=next(iter(known))):
-        identify_in_loop(records(), replace(SHORT, **known), progress=lambda text: stop())
+def test_settings_that_cannot_be_are_refused_by_name(name, value):
+    with pytest.raises(InputError, match=name):
+        LoopSettings(**{name: value})
 
 
 def triangle(amplitude):

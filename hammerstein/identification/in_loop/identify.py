@@ -18,7 +18,7 @@ import numpy as np
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import LinearBlock
-from hammerstein.errors import IdentificationError, InputError
+from hammerstein.errors import IdentificationError, InputError, Mistake, refuse
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.fit_report import left_out, model_of, offsets, verdict
@@ -42,6 +42,7 @@ from hammerstein.identification.in_loop.start import (
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
+from hammerstein.identification.options import FEWEST_EXPERIMENTS
 from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, SensorModel, score
 from hammerstein.identification.settings import Settings
@@ -55,8 +56,7 @@ from hammerstein.runtime.resources import one_blas_thread
 STATES = (2, 4, 8, 16)
 """Of each output, where no order is given, until more are not better. A model with more than it needs
 explains with further modes, and badly, that a resonance moves with the amplitude."""
-FEWEST = 3
-"""Experiments that this takes."""
+MOST_STATES = 400
 PATIENCE = 4
 """Steps in a row after which a search ends that lowers the error of what is held back no more."""
 GAINED = 0.99
@@ -67,6 +67,8 @@ EVERY_S = 60.0
 """Between two models that are written while a search goes on."""
 INVERSE = "compensate finds the voltages of a path in passes, and says whether they converge"
 FORMAT = "hammerstein-feedback-search/2"
+LATE = "the time limit of"
+"""Beginning of the note on a search that the clock ended."""
 WHAT = "file of an interrupted search"
 
 
@@ -74,7 +76,7 @@ WHAT = "file of an interrupted search"
 class LoopSettings:
     """How hysteresis in a loop is identified.
 
-    order : states of the linear block, even; found from the number of outputs if not given
+    order : states of the linear block, of all outputs together; searched if not given
     minutes : of search after which the best model found is given; what an interruption lost does not count
     sensor_bandwidth_hz, sensor_delay_s : of the sensor, from its data sheet, as for ``Settings``; the
         readings are freed of its lag and delay first
@@ -87,9 +89,18 @@ class LoopSettings:
     sensor_delay_s: float = 0.0
     accept_order: bool = False
 
+    def __post_init__(self) -> None:
+        mistakes = []
+        if not (self.order is None or (isinstance(self.order, int) and 1 <= self.order <= MOST_STATES)):
+            mistakes.append(Mistake("order", f"must be a whole number from 1 to {MOST_STATES}"))
+        if not 0.0 < self.minutes < np.inf:
+            mistakes.append(Mistake("minutes", "must be above 0"))
+        refuse("identification", mistakes)
+        _ = self.sensor
+
     @property
     def sensor(self) -> SensorModel:
-        """What is known of the sensor; InputError where that is impossible."""
+        """What is known of the sensor."""
         bandwidth_hz, delay_s = self.sensor_bandwidth_hz, self.sensor_delay_s
         return Settings(sensor_bandwidth_hz=bandwidth_hz, sensor_delay_s=delay_s).sensor
 
@@ -205,8 +216,7 @@ class _Work:
     def notes(self) -> Iterator[str]:
         """What a reader must know of how the search ended."""
         if self.late:
-            limit = f"the time limit of {self.settings.minutes:g} minutes"
-            yield f"{limit} ended the search; --minutes gives it more"
+            yield f"{LATE} {self.settings.minutes:g} minutes ended the search; --minutes gives it more"
 
     def chosen(self, records: Sequence[Record]) -> Found:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
@@ -352,11 +362,11 @@ def _stages(kept: Path, digest: str) -> list[_Best]:
 
 
 def _refuse(records: Sequence[Record], held: Sequence[Record]) -> None:
-    if len(records) < FEWEST:
+    if len(records) < FEWEST_EXPERIMENTS:
+        there = f"there {'is' if len(records) == 1 else 'are'} {len(records)}"
         raise IdentificationError(
-            f"hysteresis in the loop needs {FEWEST} experiments, because some select the structure; "
-            f"there {('is' if len(records) == 1 else 'are')} {len(records)}. Record more, at several "
-            "amplitudes"
+            f"hysteresis in the loop needs {FEWEST_EXPERIMENTS} experiments, because some select the "
+            f"structure; {there}. Record more, at several amplitudes"
         )
     m, p = len(records[0].u_v), len(records[0].y_um)
     if m != p:
