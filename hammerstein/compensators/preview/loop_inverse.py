@@ -258,9 +258,9 @@ class LoopInverseLaw(Law[LoopPathState]):
         return (
             f"{self.exact.invertibility.statement()} The hysteresis in the loop is inverted in "
             f"{self.passes} iterations on a stream, with an error of {self.left:.1g} of a trial path; a path "
-            "that is known as a whole is iterated until it is met. The reference must be known "
+            "that is known as a whole is iterated further. The reference must be known "
             f"{ahead} samples ahead ({interval(ahead * self.sample_time_s)}); a path that is no period must "
-            "start at rest (--lead-in)."
+            "start at rest (--lead-in), and one that starts with a velocity may be missed (smooth_start_s)."
         )
 
     def rest(self) -> LoopPathState:
