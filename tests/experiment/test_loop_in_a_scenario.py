@@ -8,7 +8,7 @@ from hammerstein.blocks.instruments import Drive, Instruments, Sensor
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.experiment.simulated_identification import _Excursion, _settled_records
+from hammerstein.experiment.simulated_identification import _Excursion, _settled_records, identify_each
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.model.simulation import Plant
 from hammerstein.scenario.source import OF_LINEAR_DYNAMICS, LoopFitSpec
@@ -90,6 +90,17 @@ def test_a_loop_of_positive_voltages_alone(tmp_path, rest_v, offset_um):
     more = {"reference": sine, "instruments": {"drive": {"range_v": [0.0, 100.0]}}}
     found = errors_um(hammerstein.run(scenario(actuator, LOOP | {"amplitude_v": 45.0}, **more)))
     assert found["hysteresis_in_loop"] < 0.02
+
+
+@pytest.mark.full
+def test_its_model_has_the_voltages_of_its_experiments(tmp_path):
+    """36 V about the middle of 0 to 100 V, from where the actuator rests."""
+    actuator = hammerstein.HammersteinModel.load(stack(tmp_path, Voltages.of([30.0], [0.0], [100.0])))
+    (model,) = identify_each(Plant(actuator, QUIET), {LoopFitSpec.model_validate(LOOP): 1}, 3)
+    found = model.recorded
+    assert found.working_point_v == (30.0,)
+    assert 14.0 <= found.lowest_v[0] < 20.0
+    assert 80.0 < found.highest_v[0] <= 86.2
 
 
 def test_periods_are_recorded_once_they_repeat(tmp_path):
