@@ -93,7 +93,7 @@ class LoopSettings:
         mistakes = []
         if not (self.order is None or (isinstance(self.order, int) and 1 <= self.order <= MOST_STATES)):
             mistakes.append(Mistake("order", f"must be a whole number from 1 to {MOST_STATES}"))
-        if not 0.0 < self.minutes < np.inf:
+        if not self.minutes > 0.0:  # infinite is no limit
             mistakes.append(Mistake("minutes", "must be above 0"))
         refuse("identification", mistakes)
         _ = self.sensor
