@@ -57,6 +57,7 @@ STATES = (2, 4, 8, 16)
 """Of each output, where no order is given, until more are not better. A model with more than it needs
 explains with further modes, and badly, that a resonance moves with the amplitude."""
 MOST_STATES = 400
+"""That can be asked for; the largest model of measured records has 48."""
 PATIENCE = 4
 """Steps in a row after which a search ends that lowers the error of what is held back no more."""
 GAINED = 0.99
