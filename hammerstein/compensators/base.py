@@ -36,6 +36,8 @@ class Compensator(Strict, ABC):
 
     static: ClassVar[bool] = False
     """Whether its law takes the dynamics of a model for none."""
+    takes_loop: ClassVar[bool] = True
+    """Whether its law has a form for hysteresis in the loop of the dynamics; a static one has none."""
 
     @abstractmethod
     def design(

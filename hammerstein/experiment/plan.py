@@ -27,6 +27,7 @@ from hammerstein.errors import InputError, SimulationError
 from hammerstein.experiment.draws import evaluations
 from hammerstein.experiment.measure import RECORDED_BLOCK
 from hammerstein.experiment.set_up import Window, driven_axes, law_of, loaded, plant_of, scenario_axes
+from hammerstein.experiment.simulated_identification import SETTLING
 from hammerstein.hysteresis import PrandtlIshlinskii, RateDependent
 from hammerstein.model.simulation import Plant
 from hammerstein.quantities import duration, size
@@ -221,9 +222,10 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
         elif isinstance(spec, LoopFitSpec):
             samples = len(spec.levels) * spec.experiments * spec.record_s / step
             words = f"the identification of {label!r} from {samples:.3g} samples"
-            needed = COPIES * run_bytes(samples, m, p)
+            longest = (SETTLING[-1] + 2) * spec.record_s / step
+            needed = COPIES * run_bytes(max(2.0 * samples, longest), m, p)
             seconds = min(60.0 * spec.minutes, p * samples * SECONDS_A_SEARCHED_SAMPLE)
-            keys = "its record_s, levels or experiments, or raise sample_time_s"
+            keys = "its record_s, levels or experiments"
         else:
             samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
             operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators

@@ -206,10 +206,6 @@ class ModelSource(Strict):
         return self
 
 
-OF_LINEAR_DYNAMICS = "exact_inverse", "decoupled_inverse", "inverse_multiplicative", "feedback"
-"""Laws that have no form for hysteresis in the loop of the dynamics."""
-
-
 class TestedCompensator(ModelSource, Compensator):
     """A compensator with its label and the source of its model."""
 
@@ -217,7 +213,7 @@ class TestedCompensator(ModelSource, Compensator):
 
     @model_validator(mode="after")
     def _takes_its_model(self) -> Self:
-        if isinstance(self.identification, LoopFitSpec) and self.law in OF_LINEAR_DYNAMICS:
+        if isinstance(self.identification, LoopFitSpec) and (self.static or not self.takes_loop):
             raise ValueError(
                 f"identification: {self.law} takes linear dynamics; with hysteresis_in_loop use "
                 "hammerstein_inverse, learned or none"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -374,6 +374,7 @@ def _extreme_slopes(model: HammersteinModel) -> list[Array]:
 class Feedback(Compensator):
     """A PI or PID law with the sensor, alone or on top of a feedforward law."""
 
+    takes_loop: ClassVar[bool] = False
     law: Literal["feedback"] = "feedback"
     feedforward: Literal["none", "exact_inverse", "hammerstein_inverse"] | None = Field(
         default=None, description="feedforward law whose drive is added, from the same model"

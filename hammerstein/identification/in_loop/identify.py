@@ -68,8 +68,6 @@ EVERY_S = 60.0
 """Between two models that are written while a search goes on."""
 INVERSE = "compensate finds the voltages of a path in passes, and says whether they converge"
 FORMAT = "hammerstein-feedback-search/2"
-LATE = "the time limit of"
-"""Beginning of the note on a search that the clock ended."""
 WHAT = "file of an interrupted search"
 
 
@@ -115,6 +113,7 @@ def identify_in_loop(
     name: str = "identified",
     kept: Path | None = None,
     playable: Path | None = None,
+    complete: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[HammersteinModel, Fit]:
     """Identify a model with plays and products inside its loop from the simulated output.
@@ -130,6 +129,7 @@ def identify_in_loop(
     validation : validation records: reported, never used to choose
     kept : file of the structures tried so far; an interrupted search continues from it, as if it had not been
     playable : file of the best model so far, written at most about once a minute
+    complete : whether a search that the time limit ended is an error, as its result depends on the machine
 
     Raises
     ------
@@ -152,6 +152,11 @@ def identify_in_loop(
     with ThreadPoolExecutor(2) as pool:
         work = _Work(settings, kept, ready, progress, write, pool)
         found = work.chosen(ready)
+    if complete and work.late:
+        raise IdentificationError(
+            f"the time limit of {settings.minutes:g} minutes ended the search; raise it, because what was "
+            "found by then depends on the machine"
+        )
     if not found.chosen.percent < GAINED * found.linear.percent:
         raise IdentificationError(
             f"hysteresis in the loop has an error of {found.chosen.percent:.3g} % of the range on the "
@@ -217,7 +222,8 @@ class _Work:
     def notes(self) -> Iterator[str]:
         """What a reader must know of how the search ended."""
         if self.late:
-            yield f"{LATE} {self.settings.minutes:g} minutes ended the search; --minutes gives it more"
+            limit = f"the time limit of {self.settings.minutes:g} minutes"
+            yield f"{limit} ended the search; --minutes gives it more"
 
     def chosen(self, records: Sequence[Record]) -> Found:
         """Choose structure and steps on a third of the experiments, and fit all of them."""
