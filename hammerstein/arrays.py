@@ -1,6 +1,6 @@
 """Array types, read-only arrays, and the parts in which loops work through signals."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -134,6 +134,11 @@ def spans(samples: int, products: int = LEAST) -> Iterator[tuple[int, int]]:
     length = max(1, SPAN // max(products, LEAST))
     for first in range(0, samples, length):
         yield first, min(first + length, samples)
+
+
+def padded(rows: Sequence[Array], width: int, fill: float) -> Array:
+    """Read-only rows of one width, filled up at their ends."""
+    return frozen([np.pad(row, (0, width - len(row)), constant_values=fill) for row in rows])
 
 
 def filled(loop: Callable[..., object], *given: Any, shape: tuple[int, int], products: int = LEAST) -> Array:

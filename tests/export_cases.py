@@ -60,24 +60,24 @@ def stage(working_point_v=0.0, smallest_v=0.4):
     )
 
 
-def loop(curved=False, moves=1):
-    """Two axes with plays, and products of what drives them, in the loop of a state space of order five.
+def loop(curved=False, moves=1, gamma=None):
+    """Two axes with hysteresis, and products of what drives it, in the loop of a state space of order five.
 
-    moves : of the plays in a sample
+    moves : of the hysteresis in a sample; gamma : plays if not given
     """
-    rng = np.random.default_rng(7)
-    shapes = {"B": (5, 2), "C": (2, 5), "D": (2, 2)}
-    shapes |= {"E": (5, 2 * moves), "F": (3 * moves, 5), "G": (3 * moves, 2)}
-    if moves == 2:
-        shapes["H"] = 3, 2
-    matrices = {name: 0.2 * rng.normal(size=shape) for name, shape in shapes.items()}
     grid, absent = [0.0, 0.4, 1.5], Pair.absent()
-    gamma = PrandtlIshlinskii(
+    gamma = gamma or PrandtlIshlinskii(
         [
             [Pair(grid, [0.1, 0.05, 0.02]), absent, Pair([0.0, 2.0], [0.03, 0.02])],
             [absent, Pair(grid, [0.08, 0.03, 0.01]), absent],
         ]
     )
+    rng, h = np.random.default_rng(7), gamma.n_inputs
+    shapes = {"B": (5, 2), "C": (2, 5), "D": (2, 2)}
+    shapes |= {"E": (5, 2 * moves), "F": (h * moves, 5), "G": (h * moves, 2)}
+    if moves == 2:
+        shapes["H"] = h, 2
+    matrices = {name: 0.2 * rng.normal(size=shape) for name, shape in shapes.items()}
     terms = np.array([[0, 1, 3], [2, 2, 2]])
     products = InputProducts(np.array([[0.1, 0.2], [-0.1, 0.05]]), np.array([3.0, 2.0, 4.0]), terms)
     dynamics = FeedbackHysteresisDynamics.of(
@@ -274,6 +274,10 @@ def _cases():
     yield Export("loop model", loop(), "model")
     yield Export("curved loop model", loop(curved=True), "model")
     yield Export("loop model that moves twice", loop(curved=True, moves=2), "model")
+    inside = asymmetric(), generalised(20.0), preisach(), slower, bouc_wen(), parallel()
+    for model in inside:
+        yield Export(f"{model.hysteresis.kind} in a loop", loop(gamma=model.hysteresis), "model")
+    yield Export("bouc_wen twice in a loop", loop(moves=2, gamma=bouc_wen().hysteresis), "model")
     others = {
         "asymmetric": asymmetric(),
         "generalised": generalised(),

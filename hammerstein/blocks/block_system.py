@@ -17,8 +17,8 @@ LIMBS, BITS = 4, 32  # a lone whole number, such as the state of a random genera
 class Packing:
     """Position of each number of plain data in a vector.
 
-    The vector is the difference from the data that it was made from, so zero is that data. The difference is
-    exact for zeros and whole numbers, as in a state at rest.
+    ``numbers`` and ``data`` keep every bit. ``pack`` and ``unpack`` count from the data that it was made
+    from, so zero is that data; they are exact where that holds zeros and whole numbers.
 
     Parameters
     ----------
@@ -46,15 +46,23 @@ class Packing:
         return len(self._origin)
 
     def pack(self, data: dict[str, Any]) -> Array:
-        """Vector (length,) of some data."""
+        """Vector (length,) of some data, zero for that of the start."""
+        return np.asarray(self.numbers(data) - self._origin)
+
+    def unpack(self, vector: Array) -> dict[str, Any]:
+        """Data of a vector (length,) of ``pack``."""
+        return self.data(vector + self._origin)
+
+    def numbers(self, data: dict[str, Any]) -> Array:
+        """Numbers (length,) of some data."""
         pieces = list(_numbers(data))
         if [piece.size for piece in pieces] != self._sizes:
             raise InputError("state", "does not belong to this block: the number of values differs")
-        return np.asarray(np.concatenate([np.zeros(0), *pieces]) - self._origin)
+        return np.concatenate([np.zeros(0), *pieces])
 
-    def unpack(self, vector: Array) -> dict[str, Any]:
-        """Data of a vector (length,); arrays stand for lists."""
-        pieces = np.split(vector + self._origin, np.cumsum(self._sizes))
+    def data(self, numbers: Array) -> dict[str, Any]:
+        """Data of some numbers (length,); arrays stand for lists."""
+        pieces = np.split(numbers, np.cumsum(self._sizes))
         found: dict[str, Any] = _filled(self._like, iter(pieces))
         return found
 

@@ -119,7 +119,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
     columns of both. At ten samples per period of a resonance, a held w was the largest error of stacks.
 
     The state (n + memory,) is x, followed by what Gamma remembers: its plays, or the numbers of any other
-    kind's memory. Zero is the block at rest.
+    kind's memory.
 
     A : (n, n), B : (n, m), C : (p, n), D : (p, m), E : (n, v q), F : (v h, n), G : (v h, m) for v moves
     H : (h, q), or (0, q) where Gamma moves once, as where it is not given
@@ -266,7 +266,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
         n = len(self.A)
         if isinstance(self.hysteresis, PrandtlIshlinskii):
             return np.zeros(n + self.hysteresis.bank.r.size)
-        return np.zeros(n + self.packing.length)
+        return np.concatenate([np.zeros(n), self.packing.numbers(self.hysteresis.rest().as_dict())])
 
     @cached_property
     def packing(self) -> Packing:
@@ -277,17 +277,28 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
     def carry_on(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Put outputs into y_um (p, sample) from one sample up to another; ``state`` is moved on."""
-        if not isinstance(self.hysteresis, PrandtlIshlinskii):
+        n, inside = len(self.A), isinstance(self.hysteresis, PrandtlIshlinskii)
+        memory = None if inside else self.hysteresis.restore(self.packing.data(state[n:]))
+        gamma = self._plays(state[n:]) if inside else self.hysteresis.in_loop(memory)
+        if gamma is None:
             self._step_by_step(u_v, state, first, stop, y_um)
             return
-        from hammerstein.dynamics.feedback_kernel import respond_plays
+        from hammerstein.dynamics.feedback_kernel import respond_loop
 
-        bank, n = self.hysteresis.bank, len(self.A)
-        x, plays = state[:n], state[n:].reshape(bank.r.shape)
         curved = self.products.limit, self.products.factors, self.products.weights
-        linear, moved = (*self.entries, self.push), (bank.r, bank.w, self.touched)
-        for start, end in spans(stop - first, len(self.entries[2]) + self.push.size + bank.w.size):
-            respond_plays(*linear, *moved, *curved, x, plays, u_v, first + start, first + end, y_um)
+        given, weights = (*self.entries, self.push, gamma, *curved, state[:n], u_v), self.hysteresis.weights
+        for start, end in spans(stop - first, len(self.entries[2]) + self.push.size + sum(map(len, weights))):
+            respond_loop(*given, first + start, first + end, y_um)
+        if memory is not None:
+            state[n:] = self.packing.numbers(memory.as_dict())
+
+    def _plays(self, held: Array) -> tuple[Any, ...]:
+        """Plays one by one, which stand at some voltages (number,)."""
+        from hammerstein.hysteresis.loop_kernels import Plays
+
+        assert isinstance(self.hysteresis, PrandtlIshlinskii)
+        bank = self.hysteresis.bank
+        return Plays(bank.r, bank.w, self.touched, held.reshape(bank.r.shape))
 
     @cached_property
     def touched(self) -> Indices:
@@ -299,7 +310,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
     def _step_by_step(self, u_v: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
         """Any kind of hysteresis, one sample after the other."""
         n = len(self.A)
-        x, memory = state[:n].copy(), self.hysteresis.restore(self.packing.unpack(state[n:]))
+        x, memory = state[:n].copy(), self.hysteresis.restore(self.packing.data(state[n:]))
         for t in range(first, stop):
             u = u_v[:, t]
             y_um[:, t] = self.C @ x + self.D @ u
@@ -309,7 +320,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
                 more, memory = self.hysteresis.step(z_now, memory)
                 w = np.concatenate([w, more + self.products.at(z_now)])
             x = self.A @ x + self.B @ u + self.E @ w
-        state[:n], state[n:] = x, self.packing.pack(memory.as_dict())
+        state[:n], state[n:] = x, self.packing.numbers(memory.as_dict())
 
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:

@@ -95,6 +95,8 @@ class FeedbackHysteresisDynamics(MatrixForm):
         h, q = gamma.n_inputs, gamma.n_outputs
         if self.H and self.sample_time_s is None:
             raise ValueError("H belongs to the two moves in a sample: give the sample_time_s")
+        if self.H and gamma.on_grid(1.0) != gamma.on_grid(2.0):
+            raise ValueError("H moves the hysteresis twice in a sample, which would double its rate: omit H")
         if self.products and any(len(term.weights) != q for term in self.products.terms):
             raise ValueError(f"every product must have {q} weights, one for each output of the hysteresis")
         if self.products and len(self.products.limits) != h:
@@ -123,9 +125,10 @@ class FeedbackHysteresisDynamics(MatrixForm):
     def block(self) -> FeedbackBlock:
         """Return its matrices, in continuous time or on its own sample time."""
         gamma, time_s = self.hysteresis.hysteresis(), self.sample_time_s or CONTINUOUS
+        here = gamma if time_s == CONTINUOUS else gamma.on_grid(time_s)
         none = InputProducts.none(gamma.n_inputs, gamma.n_outputs)
         curved = self.products.products() if self.products else none
-        return FeedbackBlock(**self.matrices(), hysteresis=gamma, sample_time_s=time_s, products=curved)
+        return FeedbackBlock(**self.matrices(), hysteresis=here, sample_time_s=time_s, products=curved)
 
     def instability(self) -> str:
         """Say that a pole of the loop at large amplitudes is not stable; empty if all are."""

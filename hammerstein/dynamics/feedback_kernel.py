@@ -1,13 +1,14 @@
-"""Compiled time loop of plays in the loop of a linear block."""
+"""Compiled time loop of hysteresis in the loop of a linear block."""
 
 import numpy as np
 
 from hammerstein.compiled import at, compiled, helper
+from hammerstein.hysteresis.loop_kernels import add_outputs
 
 
 @compiled()
-def respond_plays(start, column, value, push, r, weight, touched, limit, factors, K, x, p, u, first, end, y):  # type: ignore[no-untyped-def]
-    """z, x[k+1], y[k] = [[F, G, H], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w the weighted plays of z.
+def respond_loop(start, column, value, push, gamma, limit, factors, K, x, u, first, end, y):  # type: ignore[no-untyped-def]
+    """z, x[k+1], y[k] = [[F, G, H], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w what Gamma makes of z.
 
     Its parts are compiled into it: a call of each would take a third longer.
 
@@ -15,21 +16,20 @@ def respond_plays(start, column, value, push, r, weight, touched, limit, factors
 
     Weighted products of z, as parts of their limits and within them, are added to w.
 
-    The rows of z come first: w follows from them within the sample. There are h for every move of the plays,
-    and those of a move hold w of the moves before alone.
+    The rows of z come first: w follows from them within the sample. There are h for every move of Gamma,
+    and those of a move hold w of the moves before alone. A z beyond all numbers makes w none.
 
     start : (v h+n+o+1,) first entry of each row; column, value : (entry,)
     push : (m + v q, n) [B, E] turned, whose entries are not among these
-    r : (h, J) thresholds, filled up with infinity; weight : (h, J, q)
-    touched : (h, 2) first and last + 1 of the w that a z moves
+    gamma : numbers of the hysteresis, see ``loop_kernels``; its memory is updated in place
     limit : (h,); factors : (M, 3) which z a product is of, h where there is none; K : (q, M) weights
-    x : (n,) state and p : (h, J) plays, updated in place; u : (m, N); y : (o, N), from first up to end
+    x : (n,) state, updated in place; u : (m, N); y : (o, N), from first up to end
     """
-    n, m, h, q = x.shape[0], u.shape[0], r.shape[0], weight.shape[2]
+    n, m, h, q = x.shape[0], u.shape[0], limit.shape[0], K.shape[0]
     outputs, products = y.shape[0], factors.shape[0]
     rows = start.shape[0] - 1 - n - outputs
-    part, product = np.ones(h + 1), np.empty(products)
-    now, later = np.zeros(n + m + rows * q), np.zeros(n + m + rows * q)
+    part, product, z = np.ones(h + 1), np.empty(products), np.empty((h, 1))
+    now, later = np.zeros(n + m + rows // h * q), np.zeros(n + m + rows // h * q)
     for i in range(n):
         now[i] = x[i]
     for t in range(first, end):
@@ -37,16 +37,17 @@ def respond_plays(start, column, value, push, r, weight, touched, limit, factors
             now[at(n + j)] = u[at(j), at(t)]
         for j in range(rows // h * q):
             now[at(n + m + j)] = 0.0
-        here, w = 0, n + m
+        here, onto = 0, n + m
         for i in range(rows + n + outputs):
             total = _row(value, column, now, at(start[at(i)]), at(start[at(i + 1)]))
             if i < rows:
+                z[at(here), 0] = total
                 part[at(here)] = max(min(total / limit[at(here)], 1.0), -1.0)
-                _move(r, weight, touched, at(here), total, p, now, w)
+                add_outputs(gamma, here, z, now, onto)  # type: ignore[no-untyped-call]
                 here += 1
                 if here == h:
-                    _multiply(factors, K, part, product, now, w)
-                    here, w = 0, w + q
+                    _multiply(factors, K, part, product, now, onto)
+                    here, onto = 0, onto + q
             elif i < rows + n:
                 later[at(i - rows)] = total
             else:
@@ -75,18 +76,6 @@ def _row(value, column, now, e, stop):  # type: ignore[no-untyped-def]
         total += value[e] * now[at(column[e])]
         e += at(1)
     return total
-
-
-@helper(inline="always")
-def _move(r, weight, touched, i, z, p, now, w):  # type: ignore[no-untyped-def]
-    """Move the plays of z number i, and add their weighted outputs to what is now from w on."""
-    for j in range(r.shape[1]):
-        p[i, at(j)] = max(z - r[i, at(j)], min(z + r[i, at(j)], p[i, at(j)]))
-    for o in range(touched[i, 0], touched[i, 1]):
-        moved = now[at(w + o)]
-        for j in range(r.shape[1]):
-            moved += weight[i, at(j), at(o)] * p[i, at(j)]
-        now[at(w + o)] = moved
 
 
 @helper(inline="always")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import singledispatch
 from typing import Any, NamedTuple
@@ -13,13 +14,15 @@ from hammerstein.arrays import Array, Indices
 from hammerstein.dynamics import FeedbackBlock, LinearBlock
 from hammerstein.dynamics.feedback_block import InputProducts
 from hammerstein.errors import InputError
+from hammerstein.escaping import C
 from hammerstein.hysteresis import (
     Asymmetric,
     AsymmetricState,
     BoucWen,
     BoucWenState,
-    Envelope,
     Generalised,
+    Parallel,
+    ParallelState,
     PlayState,
     PrandtlIshlinskii,
     Preisach,
@@ -86,8 +89,7 @@ def c_block_of(hysteresis: object, state: object) -> CPart:
 
     A new kind registers itself here; ``hysteresis`` names its template in ``parts``. The template has the
     macros ``types``, ``memory`` (members of the memory, filled by ``start``), ``functions``, and ``call``,
-    which turns ``u[M]``, relative to the working point, into ``v[ROWS]``. ``helpers`` lists which of
-    ``least`` and ``most`` it calls.
+    which turns ``u[M]``, relative to the working point, into ``v[ROWS]``. It may call ``least`` and ``most``.
 
     Raises
     ------
@@ -132,7 +134,7 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
         tables=(Table("weight", weight, "Weights [um/V]: input, operator, output; padded with zeros."),),
         indices=(Table("operators", bank.n, "Operators of each input."),),
         start={"plays": plays},
-        values={"hysteresis": "plays", "helpers": ("least", "most"), "n_padded": width},
+        values={"hysteresis": "plays", "n_padded": width},
     )
 
 
@@ -157,7 +159,7 @@ def _(hysteresis: Asymmetric, state: AsymmetricState) -> CPart:
         ),
         indices=(Table("bends", lines.n, "Dead-zones of each input."),),
         start={"smallest": state.smallest_v},
-        values={"hysteresis": "asymmetric", "helpers": ("least", "most")},
+        values={"hysteresis": "asymmetric"},
     )
     return c_block_of(hysteresis.plays, state.plays) + own
 
@@ -171,37 +173,24 @@ def _(hysteresis: Generalised, state: PlayState) -> CPart:
 
 def envelopes_part(hysteresis: Generalised) -> CPart:
     """Lines of the envelopes, and their hyperbolic tangents."""
-    each = hysteresis.envelopes
-    lines = max(len(one.slopes) for one in each)
-    return _tangents(each) + CPart(
-        sizes=(Size("LINES", lines, "largest number of lines of an envelope"),),
+    end, begin, slope = hysteresis.lines
+    return _tangents(hysteresis) + CPart(
+        sizes=(Size("LINES", end.shape[1], "largest number of lines of an envelope"),),
         tables=(
-            Table(
-                "line_end",
-                padded([one.voltages_v[1:-1] for one in each], lines, np.inf),
-                "Upper end of each line [V]: input, line.",
-            ),
-            Table("line_slope", padded([one.slopes for one in each], lines, 1.0), "Its slope: input, line."),
-            Table(
-                "line_start", padded([one.intercepts for one in each], lines, 0.0), "Its value at 0 V [V]."
-            ),
+            Table("line_end", end, "Upper end of each line [V]: input, line."),
+            Table("line_slope", slope, "Its slope: input, line."),
+            Table("line_start", begin, "Its value at 0 V [V]."),
             Table("envelope_home", hysteresis.home_v, "Value of each envelope at the working point [V]."),
             Table("envelope_zero", hysteresis.working_point_v, "Working point of each envelope [V]."),
         ),
-        values={"helpers": ("least", "most")},
     )
 
 
-def padded(rows: Sequence[Array], width: int, fill: float) -> Array:
-    """Rows of one width, filled up at their ends."""
-    return np.array([np.pad(row, (0, width - len(row)), constant_values=fill) for row in rows])
-
-
-def _tangents(envelopes: Sequence[Envelope]) -> CPart:
+def _tangents(hysteresis: Generalised) -> CPart:
     """Tangents of the envelopes, where there are any, by doubling: there is no mathematical library."""
-    if not any(one.bent for one in envelopes):
+    sizes, steepnesses, centres = hysteresis.tangents
+    if not sizes.any():
         return CPart(values={"bent": False})
-    sizes = [one.saturating_v if one.bent else 0.0 for one in envelopes]
     return CPart(
         sizes=(
             Size("DOUBLINGS", shape_kernels.DOUBLINGS, "of the argument of a hyperbolic tangent"),
@@ -213,8 +202,8 @@ def _tangents(envelopes: Sequence[Envelope]) -> CPart:
             Table("TANH_SCALE", 2.0**shape_kernels.DOUBLINGS, "Divisor of its argument."),
             Table("tanh_term", shape_kernels.SERIES, "Its series, the highest power first."),
             Table("tangent_size", sizes, "Size of the tangent of each envelope [V]; 0: no tangent."),
-            Table("tangent_steep", [one.steepness_per_v for one in envelopes], "Its steepness [1/V]."),
-            Table("tangent_centre", [one.centre_v for one in envelopes], "Its centre [V]."),
+            Table("tangent_steep", steepnesses, "Its steepness [1/V]."),
+            Table("tangent_centre", centres, "Its centre [V]."),
         ),
         values={"bent": True},
     )
@@ -244,7 +233,7 @@ def _(hysteresis: Preisach, state: PreisachState) -> CPart:
         ),
         indices=(Table("cells", planes.cells, "Cells on a side of each plane."),),
         start={"stairs": stairs},
-        values={"turns": turns, "hysteresis": "preisach", "helpers": ("least", "most")},
+        values={"turns": turns, "hysteresis": "preisach"},
     )
 
 
@@ -266,7 +255,7 @@ def _(hysteresis: RateDependent, state: RateState) -> CPart:
         ),
         indices=(Table("operators", bank.n, "Plays of each input."),),
         start={"play": state.plays_v, "before": state.last_v, "rate": state.rate_v_per_s},
-        values={"n_plays": bank.r.shape[1], "hysteresis": "rate_dependent", "helpers": ("least", "most")},
+        values={"n_plays": bank.r.shape[1], "hysteresis": "rate_dependent"},
     )
 
 
@@ -311,8 +300,67 @@ def _(hysteresis: BoucWen, state: BoucWenState) -> CPart:
             Table("unload", unload, "The same while it falls [1/V]: output, input."),
         ),
         start={"lag": state.z_v.T, "here": state.last_v},
-        values={"hysteresis": "bouc_wen", "helpers": ("least",)},
+        values={"hysteresis": "bouc_wen"},
     )
+
+
+_WORD = re.compile(r"/\*.*?\*/|[A-Za-z_]\w*", re.S)  # a comment is one
+_FUNCTION = re.compile(r"^static \w+ (\w+)\(", re.M)
+_TYPE = re.compile(r"^\} (\w+);", re.M)
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A block of several in one law: its template, with an ending on each of its names.
+
+    part : as for a single block; ending : of its names; what : where it stands, in a sentence
+    names : those that it has in common with the others, or that are called otherwise there
+    """
+
+    part: CPart
+    ending: str
+    what: str
+    names: Mapping[str, str]
+
+    def named(self) -> CPart:
+        """Sizes, tables and start under their new names; what the templates ask for stays with the part."""
+        part = self.part
+
+        def renamed(one: Table) -> Table:
+            return Table(self._of(one.name), one.values, f"{self.what}. {one.what}")
+
+        return CPart(
+            sizes=tuple(s._replace(name=self._of(s.name)) for s in part.sizes if s.name not in self.names),
+            tables=tuple(map(renamed, part.tables)),
+            indices=tuple(map(renamed, part.indices)),
+            start={self._of(name): value for name, value in part.start.items()},
+        )
+
+    def text(self, macro: str, environment: Any, context: dict[str, Any]) -> C:
+        """What a macro of its template gives."""
+        template = environment.get_template(f"parts/{self.part.values['hysteresis']}.jinja")
+        module = template.make_module({**context, **self.part.values})
+        functions = _FUNCTION.findall(str(module.functions()))
+        own = {*functions, *_TYPE.findall(str(module.types())), *self.part.start, *self.names}
+        own |= {one.name for group in (self.part.sizes, self.part.tables, self.part.indices) for one in group}
+        given = str(getattr(module, macro)())
+        return C(_WORD.sub(lambda word: self._of(word[0]) if word[0] in own else word[0], given))
+
+    def _of(self, name: str) -> str:
+        return self.names.get(name, f"{name}_{self.ending}")
+
+
+@c_block_of.register
+def _(hysteresis: Parallel, state: ParallelState) -> CPart:
+    """Every part by itself, and their sum."""
+    both = zip(hysteresis.parts, state.parts, strict=True)
+    each = [(str(n), c_block_of(part, own)) for n, (part, own) in enumerate(both, start=1)]
+    parts = [Beside(part, n, f"Part {n}", {"ROWS": "ROWS"}) for n, part in each]
+    whole = CPart(
+        sizes=(Size("ROWS", hysteresis.n_outputs, "outputs of the hysteresis"),),
+        values={"hysteresis": "parallel", "parts": parts},
+    )
+    return sum((one.named() for one in parts), whole)
 
 
 @singledispatch
@@ -359,10 +407,7 @@ def _grid(hysteresis: PrandtlIshlinskii, segments: int) -> CPart:
 
 
 def dynamics_part(block: LinearBlock | FeedbackBlock) -> CPart:
-    """Dynamics from rest: a linear block by its non-zero entries, or plays in their loop.
-
-    Raises InputError for another hysteresis in the loop.
-    """
+    """Dynamics from rest: a linear block by its non-zero entries, or hysteresis in their loop."""
     if isinstance(block, FeedbackBlock):
         return _loop_part(block)
     n = len(block.A)
@@ -381,48 +426,58 @@ def dynamics_part(block: LinearBlock | FeedbackBlock) -> CPart:
 
 
 def _loop_part(block: FeedbackBlock) -> CPart:
-    """Plays in the loop, one after the other; the order of all sums is that of the compiled loop."""
-    gamma = block.hysteresis
-    if not isinstance(gamma, PrandtlIshlinskii):
-        raise InputError("export", f"hysteresis of kind {gamma.kind} in the loop has no C code; plays have")
-    n, bank = len(block.A), gamma.bank
-    loops, plays, outputs = bank.w.shape
+    """Hysteresis in the loop; the order of all sums is that of the compiled loop."""
+    gamma, n = block.hysteresis, len(block.A)
     start, column, value = block.entries
     fours = np.diff(start) // 4
-    return CPart(
+    around = CPart(
         sizes=(
             Size("STATES", n, "of the block around the loop"),
-            Size("LOOPS", loops, "inputs of the hysteresis in the loop"),
-            Size("LOOP_PLAYS", plays, "largest number of plays of each of them"),
-            Size("LOOP_OUTPUTS", outputs, "of that hysteresis"),
+            Size("LOOPS", gamma.n_inputs, "inputs of the hysteresis in the loop"),
+            Size("LOOP_OUTPUTS", gamma.n_outputs, "of that hysteresis"),
             Size("PUSHES", len(block.push), "inputs and outputs of the hysteresis, which move the states"),
-            Size("LOOP_WIDTH", n + block.n_inputs + block.moves * outputs, "of x, v and w together"),
+            Size("LOOP_WIDTH", n + block.n_inputs + block.moves * gamma.n_outputs, "of x, v and w together"),
             Size("REST", 3, "largest number of entries of a row outside groups of four"),
             Size("MOST_FOURS", int(fours.max(initial=0)), "most groups of four entries in a row"),
         ),
         tables=(
             Table("entry", value, "Nonzero entries of [[F, G, H], [A, 0, 0], [C, D, 0]]."),
             Table("push", block.push, "[B, E]: column, state."),
-            Table("loop_threshold", bank.r, "Thresholds in the loop: input, play; padded with infinity."),
-            Table("loop_weight", bank.w, "Their weights: input, play, output."),
         ),
         indices=(
             Table("row_start", start, "First entry of each row."),
             Table("row_fours", fours, "Number of groups of four in it."),
             Table("column", column, "Columns of the entries."),
+        ),
+        start={"x": np.zeros(n)},
+        values={"n_states": n, "n_moves": block.moves, "dynamics": "loop"},
+    )
+    return around + _products(block.products) + _inside(block)
+
+
+def _inside(block: FeedbackBlock) -> CPart:
+    """Plays one by one, or the block of any other kind by the names of the loop."""
+    gamma = block.hysteresis
+    if not isinstance(gamma, PrandtlIshlinskii):
+        sizes = {"n_inputs": gamma.n_inputs, "n_outputs": gamma.n_outputs}
+        part = c_block_of(gamma, gamma.rest()) + CPart(values=sizes)
+        inside = Beside(part, "inside", "In the loop", {"M": "LOOPS", "ROWS": "LOOP_OUTPUTS"})
+        return inside.named() + CPart(values={"inside": inside})
+    bank = gamma.bank
+    loops, plays, _ = bank.w.shape
+    return CPart(
+        sizes=(Size("LOOP_PLAYS", plays, "largest number of plays of each of them"),),
+        tables=(
+            Table("loop_threshold", bank.r, "Thresholds in the loop: input, play; padded with infinity."),
+            Table("loop_weight", bank.w, "Their weights: input, play, output."),
+        ),
+        indices=(
             Table("touched_first", block.touched[:, 0], "First output that an input of the loop moves."),
             Table("touched_stop", block.touched[:, 1], "Index after the last one."),
         ),
-        start={"x": np.zeros(n), "loop_play": np.zeros((loops, plays))},
-        values={
-            "n_states": n,
-            "n_loops": loops,
-            "n_loop_plays": plays,
-            "n_moves": block.moves,
-            "dynamics": "loop",
-            "helpers": ("least", "most"),
-        },
-    ) + _products(block.products)
+        start={"loop_play": np.zeros((loops, plays))},
+        values={"n_loops": loops, "n_loop_plays": plays, "inside": None},
+    )
 
 
 def _products(products: InputProducts) -> CPart:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, padded
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.compensators.exact import inverse_kernel as exact_kernel, piece_kernels as pieces
@@ -28,7 +28,6 @@ from hammerstein.export.c_blocks import (
     c_moving_block_of,
     dynamics_part,
     envelopes_part,
-    padded,
     stacked,
 )
 from hammerstein.export.request import ForwardModel

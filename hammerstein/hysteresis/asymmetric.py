@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -262,6 +262,13 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         held, (_, *zones) = start.smallest_v.copy(), self.lines
         add_dead_zones(u_v, self.smallest_v, held, *zones, v, (0,) * self.n_outputs)
         return v, AsymmetricState(plays, held)
+
+    def in_loop(self, memory: AsymmetricState) -> tuple[Any, ...]:
+        """Plays and dead-zones; see ``Hysteresis.in_loop``."""
+        from hammerstein.hysteresis.loop_kernels import Zones
+
+        numbers = (self.smallest_v, memory.smallest_v, *self.lines[1:])
+        return Zones(self.plays.in_loop(memory.plays), numbers)
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops about the working point (output, input) [um], in closed form.

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -212,6 +212,12 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
         state, shape, products = start.copy(), (self.n_outputs, u_v.shape[1]), 64 * self.bank[0].size
         given = (u_v, *self.bank, state.z_v, state.last_v)
         return filled(respond_bouc_wen, *given, shape=shape, products=products), state
+
+    def in_loop(self, memory: BoucWenState) -> tuple[Any, ...]:
+        """Parameters and memory; see ``Hysteresis.in_loop``."""
+        from hammerstein.hysteresis.loop_kernels import Lags
+
+        return Lags((*self.bank, memory.z_v, memory.last_v), np.empty((self.n_outputs, 1)))
 
     def slope_columns(self, k: int) -> Array:
         """Ends of the slopes of input k (number, output) [um/V], in all combinations; d comes last.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hammerstein.arrays import Array, ByValue, freeze_fields, frozen
+from hammerstein.arrays import Array, ByValue, freeze_fields, frozen, padded
 from hammerstein.errors import InputError, Mistake, refuse
 from hammerstein.hysteresis.describing_function import Describable
 from hammerstein.hysteresis.identifiable import (
@@ -292,6 +292,28 @@ class Generalised(Hysteresis[PlayState], Identifiable, Describable):
     def _respond(self, u_v: Array, start: PlayState) -> tuple[Array, PlayState]:
         refuse_not_finite(u_v)
         return self.plays.respond(self.inner(u_v), start)
+
+    def in_loop(self, memory: PlayState) -> tuple[Any, ...]:
+        """Envelopes and plays; see ``Hysteresis.in_loop``."""
+        from hammerstein.hysteresis.loop_kernels import Envelopes
+
+        lines = (np.asarray(self.working_point_v), self.home_v, *self.lines)
+        return Envelopes(self.plays.in_loop(memory), lines, self.tangents, np.zeros((self.n_inputs, 1)))
+
+    @cached_property
+    def lines(self) -> tuple[Array, Array, Array]:
+        """Upper end, value at 0 V and slope of each line of each envelope (m, line), filled up."""
+        each, most = self.envelopes, max(len(one.slopes) for one in self.envelopes)
+        ends = padded([one.voltages_v[1:-1] for one in each], most, np.inf)
+        starts = padded([one.intercepts for one in each], most, 0.0)
+        return ends, starts, padded([one.slopes for one in each], most, 1.0)
+
+    @cached_property
+    def tangents(self) -> tuple[Array, Array, Array]:
+        """Size, 0 where there is none, steepness and centre of each tangent (m,)."""
+        sizes = [one.saturating_v if one.bent else 0.0 for one in self.envelopes]
+        steepnesses = [one.steepness_per_v for one in self.envelopes]
+        return frozen(sizes), frozen(steepnesses), frozen([one.centre_v for one in self.envelopes])
 
     def slope_columns(self, k: int) -> Array:
         """Slopes (number, output) [um/V] of input k: those of the plays times those of the envelope."""

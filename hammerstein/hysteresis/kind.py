@@ -161,6 +161,13 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         y, after = self.respond(np.reshape(np.asarray(u_v, dtype=np.float64), (-1, 1)), state)
         return y[:, 0], after
 
+    def in_loop(self, memory: S) -> tuple[Any, ...] | None:
+        """Numbers for ``loop_kernels``, with the arrays of a memory, which a compiled loop moves on.
+
+        None for a kind that has none: it is stepped in Python, where it stands in a loop.
+        """
+        return None
+
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops (output, input) [um] for a voltage amplitude [V].
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -106,6 +107,15 @@ class Parallel(Hysteresis[ParallelState]):
     def _respond(self, u_v: Array, start: ParallelState) -> tuple[Array, ParallelState]:
         found = [part.respond(u_v, own) for part, own in zip(self.parts, start.parts, strict=True)]
         return np.sum([v for v, _ in found], axis=0), ParallelState(tuple(own for _, own in found))
+
+    def in_loop(self, memory: ParallelState) -> tuple[Any, ...] | None:
+        """Every part, and their sum; see ``Hysteresis.in_loop``."""
+        from hammerstein.hysteresis.loop_kernels import Sum
+
+        found = [part.in_loop(own) for part, own in zip(self.parts, memory.parts, strict=True)]
+        if any(one is None for one in found):
+            return None
+        return reduce(Sum, found)
 
     def _swept(self, k: int, low_v: float, high_v: float) -> Array:
         """As of every kind, driven so slowly that no part knows of a rate."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -181,14 +181,24 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         """Put outputs into an array, without another one between; see ``Hysteresis.carry_on``."""
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
-        b, s = self.bank, start.copy()
-        bank = (b.r, b.guide, b.scale, b.n, b.lines, b.w)
-        stack = (s.count, s.end, s.x, s.d, s.below, s.window)
+        s = start.copy()
+        numbers = self._numbers(s)
         for begin, end in spans(stop - first):
             here = (first + begin, first + end)
-            if respond_turning_points(u_v, *bank, *stack, *here, v_um, (0,) * self.n_outputs) < here[1]:
+            if respond_turning_points(u_v, *numbers, *here, v_um, (0,) * self.n_outputs) < here[1]:
                 refuse_not_finite(u_v)
         return s
+
+    def _numbers(self, memory: PlayState) -> tuple[Any, ...]:
+        """What the kernel takes beside voltages and outputs."""
+        b, s = self.bank, memory
+        return (b.r, b.guide, b.scale, b.n, b.lines, b.w, s.count, s.end, s.x, s.d, s.below, s.window)
+
+    def in_loop(self, memory: PlayState) -> tuple[Any, ...]:
+        """Plays in their turning-point form; see ``Hysteresis.in_loop``."""
+        from hammerstein.hysteresis.loop_kernels import Branches
+
+        return Branches(self._numbers(memory), (0,) * self.n_outputs, np.empty((self.n_outputs, 1)))
 
     def slope_columns(self, k: int) -> Array:
         """Slopes (operator, output) [um/V] while the first 1, 2, ... operators of input k move."""

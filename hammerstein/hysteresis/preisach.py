@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,8 +90,12 @@ class Planes(NamedTuple):
         from hammerstein.hysteresis.preisach_kernels import respond_preisach
 
         own, shape = start.copy(), (self.node.shape[3], u_v.shape[1])
-        given = (u_v, *self, own.count, own.x, own.tip, own.last)
+        given = (u_v, *self.numbers(own))
         return filled(respond_preisach, *given, shape=shape, products=8 * len(u_v) * shape[0]), own
+
+    def numbers(self, memory: PreisachState) -> tuple[Any, ...]:
+        """What the kernel takes beside voltages and outputs."""
+        return (*self, memory.count, memory.x, memory.tip, memory.last)
 
     def fresh(self, home_v: Array) -> PreisachState:
         """Memory of an actuator that was never driven and stands at voltages (m,), as they are sent [V].
@@ -233,6 +237,12 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
     def _respond(self, u_v: Array, start: PreisachState) -> tuple[Array, PreisachState]:
         refuse_not_finite(u_v)
         return self.planes.run(u_v, start)
+
+    def in_loop(self, memory: PreisachState) -> tuple[Any, ...]:
+        """Planes and staircases; see ``Hysteresis.in_loop``."""
+        from hammerstein.hysteresis.loop_kernels import Staircases
+
+        return Staircases(self.planes.numbers(memory), np.empty((self.n_outputs, 1)))
 
     def slope_columns(self, k: int) -> Array:
         """Slopes (number, output) [um/V] of input k on branches that begin at a level, and beyond the plane.

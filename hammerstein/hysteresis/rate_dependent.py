@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -230,10 +230,19 @@ class RateDependent(Hysteresis[RateState], Identifiable):
 
     def _respond(self, u_v: Array, start: RateState) -> tuple[Array, RateState]:
         refuse_not_finite(u_v)
-        bank, state = self.bank, start.copy()
-        memory, shape = (state.plays_v, state.last_v, state.rate_v_per_s), (self.n_outputs, u_v.shape[1])
-        given = (u_v, self.grid_s, self.poles, *bank, *memory)
-        return filled(respond_rate_dependent, *given, shape=shape, products=8 * bank.w.size), state
+        state, products = start.copy(), 8 * self.bank.w.size
+        given, shape = (u_v, *self._numbers(state)), (self.n_outputs, u_v.shape[1])
+        return filled(respond_rate_dependent, *given, shape=shape, products=products), state
+
+    def _numbers(self, memory: RateState) -> tuple[Any, ...]:
+        """What the kernel takes beside voltages and outputs."""
+        return (self.grid_s, self.poles, *self.bank, memory.plays_v, memory.last_v, memory.rate_v_per_s)
+
+    def in_loop(self, memory: RateState) -> tuple[Any, ...]:
+        """Parameters and memory; see ``Hysteresis.in_loop``."""
+        from hammerstein.hysteresis.loop_kernels import Rates
+
+        return Rates(self._numbers(memory), np.empty((self.n_outputs, 1)))
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
         """Half heights of the settled loops driven slowly (output, input) [um], in closed form."""

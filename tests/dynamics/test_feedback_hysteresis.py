@@ -1,5 +1,7 @@
 """Hysteresis inside the loop: theory of the block, and what simulates, saves and refuses it."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -12,7 +14,20 @@ from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import FeedbackHysteresisDynamics, discretise, on_grid
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import BoucWen, BoucWenPair, Pair, PrandtlIshlinskii
+from hammerstein.hysteresis import (
+    Asymmetric,
+    BoucWen,
+    BoucWenPair,
+    DeadZones,
+    Envelope,
+    Generalised,
+    Pair,
+    Parallel,
+    PrandtlIshlinskii,
+    Preisach,
+    RateDependent,
+    RatePlays,
+)
 
 RNG = np.random.default_rng(30)
 TIME_S = 1e-4
@@ -115,10 +130,30 @@ def test_a_continuous_loop_in_which_nothing_turns_is_linear(wide):
     np.testing.assert_allclose(found[0], y, rtol=1e-10, atol=1e-13)
 
 
-KINDS = {
-    "plays": plays(),
-    "bouc_wen": BoucWen([[BoucWenPair(0.02, 0.01, 0.5, 0.2) for _ in range(2)] for _ in range(2)]),
-}
+def every_kind():
+    """A block of each kind, from two inputs to two outputs, and all of them side by side."""
+    zones = [[DeadZones([-1.0, 2.0], [0.01, -0.005]), DeadZones.absent()] for _ in range(2)]
+    bent, straight = (
+        Envelope([-4.0, 1.0, 5.0], [-4.0, 1.0, 3.0], 0.5, 0.7, 1.5),
+        Envelope([0.0, 1.0], [0.0, 0.9]),
+    )
+    cells = np.tril(RNG.uniform(0.0, 0.01, (6, 6)))
+    rates = RatePlays([0.0, 0.5, 1.5], [0.0, 1e-5, 3e-5], bandwidth_hz=900.0, lambda_s_per_v=1e-4)
+    found = {
+        "plays": plays(),
+        "asymmetric": Asymmetric(plays(), zones, np.zeros(2)),
+        "asymmetric behind plays": Asymmetric(plays(thresholds=(0.3, 0.5, 1.5)), zones, np.zeros(2)),
+        "generalised": Generalised((bent, straight), plays()),
+        "preisach": Preisach([-3.0, -4.0], [3.0, 4.0], [[cells, 0.2 * cells], [0.1 * cells, cells]]),
+        "rate_dependent": RateDependent((rates, rates), [[[0.02, 0.01, 0.005]] * 2] * 2),
+        "bouc_wen": BoucWen([[BoucWenPair(0.02, 0.01, 0.5, 0.2) for _ in range(2)] for _ in range(2)]),
+    }
+    return found | {"parallel": Parallel(tuple(found.values()))}
+
+
+KINDS = every_kind()
+RATED = ("rate_dependent", "parallel")
+IN_LOOPS = [(kind, moves) for kind in KINDS for moves in (1, 2) if moves == 1 or kind not in RATED]
 
 
 def test_a_gain_for_two_moves_is_the_block_of_a_static_gamma():
@@ -173,13 +208,44 @@ def test_two_moves_follow_an_oscillator_that_one_misses():
     assert errors[1] < 0.05 * errors[0]
 
 
+@pytest.mark.parametrize(("kind", "moves"), IN_LOOPS)
+def test_every_kind_moves_in_compiled_loops_as_by_itself(kind, moves):
+    """Its own ``step`` for the z of the written equations, one sample after the other."""
+    m, u = matrices(moves=moves), 2.0 * RNG.normal(size=(2, 200)).cumsum(axis=1)
+    gamma = KINDS[kind].on_grid(TIME_S)
+    expected = written_out(m, lambda z: gamma.respond(z)[0][:, -1], u)
+    found, _ = block(KINDS[kind], **m).respond(u)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_kind_of_a_plug_in_is_stepped_in_python(monkeypatch):
+    here, u = block(KINDS["bouc_wen"]), RNG.normal(size=(2, 80)).cumsum(axis=1)
+    expected, after = here.respond(u)
+    monkeypatch.setattr(BoucWen, "in_loop", lambda self, memory: None)
+    found, state = here.respond(u)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(state, after, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_loop_that_leaves_all_numbers_ends_in_none(kind):
+    """Grown beyond every number, the outputs are no numbers, and nothing is read outside a table."""
+    found, _ = replace(block(KINDS[kind]), A=1e30 * np.eye(6)).respond(np.ones((2, 40)))
+    assert np.isfinite(found[:, :5]).all()
+    assert not np.isfinite(found[:, -1]).any()
+
+
+def test_a_rate_does_not_move_twice_in_a_sample():
+    with pytest.raises(InputError, match="would double its rate: omit H"):
+        block(KINDS["rate_dependent"], **matrices(moves=2))
+
+
 def test_the_end_of_a_sample_needs_a_sample_time():
     with pytest.raises(InputError, match="give the sample_time_s"):
         FeedbackHysteresisDynamics.of(plays(), **matrices(moves=2))
 
 
-@pytest.mark.parametrize("moves", [1, 2])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "moves"), IN_LOOPS)
 def test_batch_is_step_to_the_last_bit(kind, moves):
     here, u = block(KINDS[kind], **matrices(moves=moves)), RNG.normal(size=(2, 50)).cumsum(axis=1)
     whole, after = here.respond(u)
@@ -205,8 +271,7 @@ def discrete(**changes):
     return FeedbackHysteresisDynamics.of(plays(), sample_time_s=TIME_S, **(matrices() | changes))
 
 
-@pytest.mark.parametrize("moves", [1, 2])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "moves"), IN_LOOPS)
 def test_model_file_keeps_every_bit(kind, moves, tmp_path):
     dynamics = FeedbackHysteresisDynamics.of(KINDS[kind], sample_time_s=TIME_S, **matrices(moves=moves))
     first = model(dynamics)

@@ -19,6 +19,7 @@ EXPORTS = (
     *("filtered", "decoupled_inverse", "started exact_inverse", "asymmetric exact_inverse"),
     *("flattening hammerstein_inverse", "bouc-wen passes", "parallel model"),
     *("saturating exact_inverse", "preisach exact_inverse", "loop model", "curved loop model"),
+    *("preisach in a loop", "bouc_wen twice in a loop"),
 )
 REPEATED = ("inverse_multiplicative", "model", "asymmetric model behind plays")
 """Their code stands in that of the passes and of the model of all kinds, too."""
