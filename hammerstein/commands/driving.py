@@ -504,7 +504,7 @@ def _write_period(
 
     (out, run_up), (said, errors, text) = files, wanted.form(period)
     write_output(out, text, wanted.owner(), overwrite)
-    write_output(run_up, period.run_up_csv(), DRIVE, overwrite)
+    write_output(run_up, period.run_up_csv(*(wanted.factors() or ())), DRIVE, overwrite)
     learnt = ("finished", "error_rms_um", "noise_um")
     figures = {name: getattr(taught, name) for name in learnt} if taught else {"rms_um": errors}
     said = said if taught is None else [taught.statement(), *said]

@@ -78,9 +78,9 @@ class RecordFiles:
         str | None,
         typer.Option(metavar="nm|um|mm|m", help="Unit of the displacements, if their names have none."),
     ] = None
-    accept_gain: Annotated[
-        bool, typer.Option("--accept-gain", help="Accept a gain outside 0.001 to 1000 um/V.")
-    ] = False
+    accept_gain: Annotated[bool, typer.Option("--accept-gain", help="Accept an unlikely gain in um/V.")] = (
+        False
+    )
 
     def read(self, held: Sequence[Path] | None = None, all_driven: bool = True) -> tuple[Record, ...]:
         """Records to fit, or validation records."""

@@ -18,6 +18,8 @@ TURNED = 4.0
 """Largest acceleration of a fifth-order way to velocity 1 in duration 1, at most."""
 SMOOTH = 0.5
 """Third difference of the beginning of a path, in parts of the second, up to which it has an acceleration."""
+GOES_ON = 0.1
+"""Second step of a path, in parts of the first, from which both are motion; a jump has none, noise may."""
 AT_REST = 1e-9
 """Start of a path, in parts of its largest position, that is rounding."""
 
@@ -56,14 +58,16 @@ def _beginning(reference_um: Array, sample_time_s: float) -> tuple[Array, Array]
     """Velocity (p,) [um/s] and acceleration (p,) [um/s^2] at the first sample of a path (p, N).
 
     They are those of a cubic through its first four samples. A corner or noise there shows in its third
-    difference: then the velocity is that of the first step, and the acceleration zero.
+    difference: then the velocity is that of the first step, and the acceleration zero. A first step that the
+    next one does not go on with is a jump from rest.
     """
     first = np.diff(reference_um[:, :2])[:, 0]
     if reference_um.shape[1] < 4:
         return first / sample_time_s, np.zeros(len(first))
     second, third = (np.diff(reference_um[:, :4], order)[:, 0] for order in (2, 3))
     smooth = np.abs(third) < SMOOTH * np.abs(second)
-    velocity = first + np.where(smooth, third / 3.0 - second / 2.0, 0.0)
+    jump = (first + second) * np.sign(first) < GOES_ON * np.abs(first)
+    velocity = np.where(smooth, first + third / 3.0 - second / 2.0, np.where(jump, 0.0, first))
     return velocity / sample_time_s, np.where(smooth, second - third, 0.0) / sample_time_s**2
 
 

@@ -78,6 +78,15 @@ class Attempt:
         change = self.predicted.error_um - free.predicted.error_um
         return np.asarray(np.abs(change[:, self.lead :]).max(axis=1))
 
+    def within_error(
+        self, model: HammersteinModel, limits: DriveRange, compensator: Compensator, own_um: Array
+    ) -> bool:
+        """Whether the range limits the drive, but the path by less than the model errs, own_um (p,)."""
+        return not self.complete and bool(
+            (self.path_error_um <= own_um).all()
+            or (self.limited_um(model, limits, compensator) <= own_um).all()
+        )
+
     @property
     def complete(self) -> bool:
         """Whether the drive is never at its range, nor the path left otherwise."""
@@ -241,7 +250,8 @@ class Prediction:
         told = f"Expected rms error: {each}."
         if self.converter.any():
             return told
-        return f"{told} Converter resolution is not included: the model file does not state it."
+        what = "set instruments.drive.resolution_v in the model file to include them"
+        return f"{told} Converter steps are not included; {what}."
 
     def _of(self, o: int, name: str) -> str:
         parts, more = [f"path {length(float(self.path[o]), 2)}"], ""
@@ -291,6 +301,11 @@ class Missed(ABC):
     def clipped_um(self) -> float:
         """Largest error with ``--clip`` [um]."""
 
+    @property
+    def given(self) -> str:
+        """Option that the path needs beside others, if the command has it already."""
+        return ""
+
     @cached_property
     def prefix(self) -> str:
         """Option that the path needs beside others."""
@@ -305,22 +320,38 @@ class Missed(ABC):
         """Largest error on a path [um], and whether it is within reach."""
 
     def statement(self) -> str:
-        """Limit, excess and place in the first line, remedies in the second."""
-        listed = ", ".join(f"{option} ({length(error, 2)} um)" for error, option in self.remedies())
-        alone = "" if "," in listed else "; or use a smaller or slower path"
-        return f"{self._limits_hit()}\nRemedies, with the remaining error: {listed}{alone}."
+        """Limit, excess and place; remedies; and, where none helps completely, the reach."""
+        found = self.remedies()
+        listed = ", ".join(f"{option} ({length(error, 2)} um)" for error, option in found)
+        alone = self._doubt() or ("" if len(found) > 1 else "; or use a smaller or slower path")
+        told = f"{self._limits_hit()}\nRemedies, with the remaining error: {listed}{alone}."
+        if found[0][0] <= self.own_um.max():
+            return told
+        within = self.limits.words(self.model.inputs)
+        return f"{told}\n{self.reach.statement(self.model.outputs)} Range: {within} (--range)."
+
+    def _doubt(self) -> str:
+        """Doubt the unit of a path that leaves the whole travel of the model."""
+        half, asked = half_span_v(self.model), float(np.abs(self.path_um).max())
+        travel = 2.0 * float(np.abs(self.model.amplitude(half)).max()) if np.isfinite(half).all() else np.inf
+        if asked <= travel:
+            return ""
+        return (
+            f"; or check the unit (--units): the path goes to {asked:.3g} um, the travel is {travel:.3g} um"
+        )
 
     def remedies(self) -> list[tuple[float, str]]:
         """Remaining error [um] and options of each remedy that helps, the best one first."""
+        clipped = f"{self.given} --clip".strip()
         led, complete = self._attempt(self.compensator, self.path_um)
         if self.prefix and complete:
-            return [(led, self.prefix), (self.clipped_um, "--clip")]
+            return [(led, self.prefix), (self.clipped_um, clipped)]
         tried = [*self._moved(), *self._softened(), *self._filtered(self.path_um, self.prefix)]
         if not tried:  # corners of a path that does not even begin within reach
             tried += [found for moved in self._towards_the_middle() for found in self._filtered(*moved)]
         tried.append((led, f"{self.prefix} --clip".strip()))
         helping = sorted(one for one in tried if one[0] < self.clipped_um)
-        return [*helping, (self.clipped_um, "--clip")]
+        return [*helping, (self.clipped_um, clipped)]
 
     def _towards_the_middle(self, share: float = 1.0) -> list[tuple[Array, str]]:
         """The path moved to the middle of the reach, and the options for it; none if it was moved already."""
@@ -388,43 +419,47 @@ class MissedPath(Missed):
 
     @cached_property
     def prefix(self) -> str:
-        """Option that leads in, where the path begins elsewhere and nothing leads in yet."""
+        """Option that leads in, where the path begins elsewhere."""
         away = lead_in(self.path_um, self.model.instruments.drive.sample_time_s).shape[1] > 0
-        return "--lead-in" if away and not self.found.lead else ""
+        return self.LEADS_IN if away else ""
+
+    @property
+    def given(self) -> str:
+        """Option that leads in, where the drive does."""
+        return self.LEADS_IN if self.found.lead else ""
 
     def _limits_hit(self) -> str:
         """Say what the voltages would have to be without limits, and how far off the path is with them."""
         found, inputs = self.found.predicted, self.model.inputs
         parts, free_v = [], None
-        if self.prefix:  # the voltages of a jump say nothing
+        if self.prefix and not self.given:  # the voltages of a jump say nothing
             away = np.abs(self.path_um[:, 0]).max()
             parts.append(f"the path begins {length(float(away), 3)} um away from the initial position")
         else:
             free_v = self._free_drive()
         for k in np.flatnonzero(found.at_range.any(axis=1)):
             end, limit = ("lower", found.limits.low_v) if found.at_low[k] else ("upper", found.limits.high_v)
-            first = int(np.argmax(found.at_range[k]))
-            more = "" if free_v is None else self._needed(free_v[k], bool(found.at_low[k]))
-            parts.append(
-                f"input {inputs[k]} hits its {end} limit, {limit[k]:.6g} V, "
-                f"first at {self._when(first)}{more}"
-            )
+            when = f"first {self._when(int(np.argmax(found.at_range[k])))}"
+            more = when if free_v is None else self._needed(free_v[k], bool(found.at_low[k]))
+            parts.append(f"input {inputs[k]} hits its {end} limit, {limit[k]:.6g} V ({more})")
         error = np.abs(found.error_um)
         output, sample = divmod(int(np.argmax(error)), error.shape[1])
         parts.append(
             f"output {self.model.outputs[output]} has an error of up to {error[output, sample]:.3g} "
-            f"um at {self._when(sample)}"
+            f"um {self._when(sample)}"
         )
         return f"{'; '.join(parts)}."
 
     def _when(self, sample: int) -> str:
         """Time of a sample, counted from the beginning of the path."""
-        return f"{(sample - self.found.lead) * self.model.instruments.drive.sample_time_s:.4g} s"
+        if sample < self.found.lead:
+            return "in the lead-in"
+        return f"at {(sample - self.found.lead) * self.model.instruments.drive.sample_time_s:.4g} s"
 
     def _needed(self, volts: Array, at_low: bool) -> str:
         """The most extreme of the voltages (N,) that an input would need."""
         worst = int(np.argmin(volts) if at_low else np.argmax(volts))
-        return f", and would need {volts[worst]:.4g} V at {self._when(worst)}"
+        return f"the path needs {volts[worst]:.4g} V {self._when(worst)}"
 
     def _free_drive(self) -> Array | None:
         """Voltages (m, N) that the path needs where nothing limits them; None where there are none."""
@@ -446,5 +481,5 @@ class MissedPath(Missed):
             )
         except HammersteinError:
             return np.inf, False
-        within = found.complete or bool((found.path_error_um <= self.own_um).all())
+        within = found.complete or found.within_error(self.model, self.limits, compensator, self.own_um)
         return float(found.path_error_um.max()), within

@@ -54,6 +54,8 @@ PLAYED_PERIODS = 10
 """The settled error is that of this period: hysteresis forgets in one, resonances of Q = 100 in ten."""
 CENTRING_ROUNDS = 20
 """Each takes a step towards the middle, or halves the step."""
+TABLE_UNIT = "table"
+"""Of a column of numbers that are not volts."""
 HELD = "the range limits the drive in {} of {} samples of a settled period, with {} (--range)"
 
 
@@ -126,17 +128,27 @@ class Cycle:
         ]
         return [*said, self.statement] if self.statement else said
 
-    def run_up_csv(self) -> str:
-        """Text of the file of the run-up: times end where the period begins."""
+    def run_up_csv(self, factor: float = 1.0, offset: float = 0.0) -> str:
+        """Text of the file of the run-up: times end where the period begins.
+
+        factor, offset : from volts to the numbers of a table
+        """
         time_s = np.arange(-self.run_up_v.shape[1], 0, dtype=np.float64) * self.sample_time_s
-        said = ["Run-up: send it once, then repeat the period. Absolute voltages in V.", *self.statements()]
-        return drive_csv(time_s, (("drive", "v", self.model.inputs, self.run_up_v),), said)
+        unit = number_unit(factor, offset)
+        numbers = f"Number = {factor:g} x V + {offset:g}" if unit == TABLE_UNIT else "Absolute voltages in V"
+        said = [f"Run-up: send it once, then repeat the period. {numbers}.", *self.statements()]
+        return drive_csv(time_s, (("drive", unit, self.model.inputs, factor * self.run_up_v + offset),), said)
 
     def to_csv(self) -> str:
         """Text of the drive file: one period."""
         time_s = np.arange(self.drive_v.shape[1], dtype=np.float64) * self.sample_time_s
         groups = predicted_groups(self.model, self.drive_v, self.reference_um, self.played_um)
         return drive_csv(time_s, groups, ["Voltages of one period: absolute, in V.", *self.statements()])
+
+
+def number_unit(factor: float, offset: float) -> str:
+    """Unit in the names of columns of numbers, factor x V + offset."""
+    return "v" if (factor, offset) == (1.0, 0.0) else TABLE_UNIT
 
 
 def _worst(cycle: Cycle, position_um: Array) -> str:
@@ -193,8 +205,7 @@ class Design:
             least = np.zeros(len(missed)) if own is None else own
             given = (self.model, self.limits, self.compensator, self.reference_um, least, reachable)
             told = MissedPeriod(*given, terms.offset_um is not None, cycle, at_range).statement()
-            where = reachable.statement(self.model.outputs)
-            raise SimulationError(f"{self.path}: out of reach: {told}\n{where}")
+            raise SimulationError(f"{self.path}: out of reach: {told}")
         return cycle
 
     def of_trial(self, drive_v: Array, terms: Terms) -> Cycle:

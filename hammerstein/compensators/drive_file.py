@@ -328,18 +328,13 @@ def compensation_of(
     own = NOTHING * np.ptp(path, axis=1)
     if (stated := stated_error_um(model)) is not None:
         own = np.maximum(own, stated)
-    held = not found.complete and bool(
-        (found.path_error_um <= own).all() or (found.limited_um(model, limits, compensator) <= own).all()
-    )
+    held = found.within_error(model, limits, compensator, own)
     reachable = reach(model, limits, run_anyway=True)
     if not (terms.clip or held or found.complete):
         missed = MissedPath(
             model, limits, compensator, path, own, reachable, terms.offset_um is not None, found
         )
-        raise SimulationError(
-            f"out of reach: {missed.statement()}\n{reachable.statement(model.outputs)} These positions count "
-            f"from the initial one (--start), with {limits.words(model.inputs)} (--range)."
-        )
+        raise SimulationError(f"out of reach: {missed.statement()}")
     if not terms.beyond_records:
         refuse_beyond(model, found.drive_v)
     time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
@@ -365,8 +360,8 @@ def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
     if verdict is not None and verdict.flagged and not terms.accept_flagged:
         what = "; ".join(verdict.statements) or "see its fit report"
         raise IdentificationError(
-            f"{path}: its own fit report flags this model: {what}. Identify it again, or use it "
-            "anyway with --accept-flagged."
+            f"{path}: its own fit report flags this model: {what}. Run hammerstein compare on its records, "
+            "which tries other kinds; --accept-flagged uses the model anyway."
         )
 
 

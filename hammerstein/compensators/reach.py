@@ -29,7 +29,7 @@ PASSES = 4
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Intervals in which slow paths can move again and again, counted from where the actuator stands.
+    """Positions that slow paths can reach repeatedly, relative to the initial position.
 
     alone_um : (p, 2) lowest and highest position of each output while the others stand in their middle
     together_um : (p, 2) the same for all outputs at once, in the proportion of ``alone_um``
@@ -47,9 +47,9 @@ class Reach:
 
         alone = told(self.alone_um)
         if len(names) == 1:
-            return f"Reach of slow paths: {alone} um."
+            return f"Reach of slow paths from the initial position: {alone} um."
         return (
-            f"Reach of slow paths, one axis with the others in their middle: {alone} um; all axes together: "
+            f"Reach of slow paths from the initial position: {alone} um; all axes together "
             f"{told(self.together_um)} um."
         )
 

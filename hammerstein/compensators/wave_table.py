@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.compensators.cycle import Cycle, held_error, held_least
+from hammerstein.compensators.cycle import Cycle, held_error, held_least, number_unit
 from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.metrics import rms
@@ -100,14 +100,16 @@ class WaveTable:
     def text(self) -> str:
         """Text of the file."""
         said, numbers, header = self.statements(), self.numbers(), list[str]()
-        if self.device == "csv":  # the header first, as in a drive file
-            header = [",".join(column("drive", name, "v") for name in self.cycle.model.inputs)]
+        if self.device == "csv":  # the header first and the notes last, as in a drive file
+            unit = number_unit(*self.scale)
+            header = [",".join(column("drive", name, unit) for name in self.cycle.model.inputs)]
             rate, low, high = 1.0 / self.point_s, numbers.min(), numbers.max()
             said.append(f"points {self.points}, rate {rate:.10g} Hz, low {low:g}, high {high:g}")
         lines = (f"# {clean(' '.join(words.split()))}" for words in said)
         separator, digits = "\t" if self.device == "pi" else ",", DEVICES[self.device].digits
         rows = (separator.join(f"{value:.{digits}f}" for value in row) for row in numbers.T)
-        return "\n".join([*header, *lines, *rows]) + "\n"
+        below = [*header, *rows, *lines] if header else [*lines, *rows]
+        return "\n".join(below) + "\n"
 
 
 def wave_table(

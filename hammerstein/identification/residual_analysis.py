@@ -52,6 +52,9 @@ OF_A_CREEPING_MODEL = (
 )
 BELIEVED = 1.5
 """Noise, in parts of the error, from which it is none: fast motion has large differences, too."""
+NOISE_ERROR = 2.6
+"""Standard error of a squared rms value of white noise less that of ``noise_rms``, in parts of it, times the
+root of the number of samples: that of 300 drawn signals of 400, 2,000 and 20,000 samples."""
 
 
 def residual_statements(
@@ -97,12 +100,19 @@ def noise_within(records: Sequence[Record], rms_um: Sequence[float]) -> Array:
     return np.minimum(noise, rms_um) if (noise < BELIEVED * np.array(rms_um)).all() else 0.0 * noise
 
 
+def certain_noise(records: Sequence[Record], rms_um: Sequence[float]) -> Array:
+    """The same without the standard error of the difference: no model is known to be better than that."""
+    certain = 1.0 - NOISE_ERROR / np.sqrt(sum(record.samples for record in records))
+    most = np.sqrt(max(certain, 0.0)) * np.array(rms_um)
+    return np.asarray(np.minimum(noise_within(records, rms_um), most))
+
+
 def stated_errors(found: Score, records: Sequence[Record]) -> dict[str, tuple[float, ...]]:
     """Errors on records as a model file states them, with the part of them that is noise."""
     return {
         "nrmse_percent": found.nrmse_percent,
         "rms_um": found.rms_um,
-        "noise_um": tuple(noise_within(records, found.rms_um).tolist()),
+        "noise_um": tuple(certain_noise(records, found.rms_um).tolist()),
         "largest_um": found.largest_um,
     }
 

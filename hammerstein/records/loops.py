@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hammerstein.arrays import Array
+from hammerstein.arrays import Array, Indices
 from hammerstein.quantities import by_key
 from hammerstein.records.record import Record, driven_alone, driven_inputs
 from hammerstein.records.turning_points import Excursion, find_cycles, noise_rms, quantum
@@ -232,16 +232,21 @@ def ringing(record: Record, loops: Sequence[Loop]) -> str | None:
         branches = [y[part] for part in parts if np.abs(np.diff(u[part])).sum() < ONE_WAY * np.ptp(u[part])]
         swings = [branch - _bend(branch) for branch in branches if len(branch) > SWINGS]
         least = max(CLEAR * noise_rms(y), RINGS_SHARE * largest.height_um)
-        clear = [np.signbit(swing[np.abs(swing) > least]) for swing in swings]
-        turns = sum(int(np.count_nonzero(np.diff(sign))) for sign in clear)
-        if swings and turns >= SWINGS * len(swings):
-            size = max(float(swing.std()) for swing in swings)
-            hertz = 0.5 * turns / (sum(map(len, swings)) * record.sample_time_s)
+        turns = [_crossings(swing, least) for swing in swings]
+        if swings and sum(map(len, turns)) >= SWINGS * len(swings):
+            size, most = max(float(swing.std()) for swing in swings), max(turns, key=len)
+            hertz = 0.5 * (len(most) - 1) / (np.ptp(most) * record.sample_time_s)
             return (
                 f"{largest.output} and {name}: the output rings near {hertz:.3g} Hz ({size:.2g} um rms): "
                 "widths and areas include it. Use a lower frequency, or sines in place of triangles"
             )
     return None
+
+
+def _crossings(swing: Array, least: float) -> Indices:
+    """Samples at which a swing is beyond a size again, on the other side."""
+    beyond = np.flatnonzero(np.abs(swing) > least)
+    return beyond[1:][np.diff(np.signbit(swing[beyond]))]
 
 
 def _bend(branch: Array) -> Array:

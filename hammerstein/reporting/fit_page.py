@@ -200,7 +200,8 @@ def _usable(fit: Fit) -> tuple[str, str]:
     if not fit.invertible:
         return "Usable for simulation only", ": the model has no inverse."
     if fit.flags:
-        return "Usable with care", ": the records show effects that the model cannot represent (see below)."
+        why = ": the records show effects that the model cannot represent (see below)."
+        return "Not usable for compensation", why
     better = "; hammerstein compare may find a better model" if fit.other_kinds else ""
     untested = "." if fit.validation else "; untested on other records."
     return "Usable for simulation and compensation", better + untested
@@ -212,7 +213,7 @@ def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> 
         if asked is None:
             return f"Next: {fit.invertibility}", ""
         return "Next, to find a model with an inverse:", _command("compare", *asked.words)
-    if fit.validation and fit.other_kinds and asked is not None:
+    if (fit.flags or (fit.validation and fit.other_kinds)) and asked is not None:
         return "Next:", _command("compare", *asked.words)
     if fit.validation:
         law = "exact_inverse" if fit.is_static else "hammerstein_inverse"

@@ -30,7 +30,7 @@ def read_signal(path: Path) -> tuple[Array, Array, list[str]]:
     these names. InputError names the row and column that are wrong.
     """
     _refuse_large(path)
-    layout = find_layout(path)
+    layout = find_layout(path, "CSV or other text: export it as CSV")
     units = layout.units or [""] * layout.width
     names = [
         f"{name} {bracketed(unit)}" if unit else name for name, unit in zip(layout.names, units, strict=False)

@@ -84,8 +84,10 @@ class Layout(NamedTuple):
     units: tuple[str, ...] = ()
 
 
-def find_layout(path: Path) -> Layout:
+def find_layout(path: Path, formats: str = FORMATS) -> Layout:
     """Separator, decimal sign, encoding and header of a text file, from its first lines.
+
+    formats : that a message proposes in place of a binary file
 
     Raises
     ------
@@ -97,7 +99,7 @@ def find_layout(path: Path) -> Layout:
         raise InputError(str(path), _packed(path))
     encoding = _encoding(head)
     if encoding != "utf-16" and b"\0" in head:
-        raise InputError(str(path), f"is a binary file; give {FORMATS}")
+        raise InputError(str(path), f"is a binary file; give {formats}")
     whole = -1 if len(head) == HEAD_BYTES else None
     lines = re.split("\r\n|\r|\n", head.decode(encoding, errors="replace"))[:whole][:HEAD_LINES]
     comment = "%" if any(line.lstrip().startswith("%") for line in lines) else "#"

@@ -10,10 +10,18 @@ Kind = Literal["voltage", "displacement", "time"]
 BASE: dict[Kind, str] = {"voltage": "V", "displacement": "um", "time": "s"}
 FACTORS: dict[Kind, dict[str, float]] = {
     "voltage": {"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
-    "displacement": {"um": 1.0, "nm": 1e-3, "pm": 1e-6, "mm": 1e3, "cm": 1e4, "m": 1e6},
+    "displacement": {"um": 1.0, "nm": 1e-3, "pm": 1e-6, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 2.54e4},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
 }
-WORDS = {"volt": "v", "millivolt": "mv", "kilovolt": "kv", "micron": "um", "sec": "s", "second": "s"}
+WORDS = {
+    "volt": "v",
+    "millivolt": "mv",
+    "kilovolt": "kv",
+    "micron": "um",
+    "inche": "inch",
+    "sec": "s",
+    "second": "s",
+}
 WORDS |= {"millisecond": "ms", "microsecond": "us", "nanosecond": "ns", "minute": "min"}
 for _prefix, _short in (("", "m"), ("milli", "mm"), ("micro", "um"), ("nano", "nm")):
     WORDS |= {f"{_prefix}meter": _short, f"{_prefix}metre": _short}

@@ -255,14 +255,14 @@ def test_axes_are_told_by_their_names_in_any_order():
 
 def test_out_of_reach_names_volts_and_positions(stage, capsys):
     frame = pd.read_csv(stage / "path.csv")
-    frame["x"] *= -1.0
+    frame["x"] *= -10.0
     frame.to_csv(stage / "below.csv", index=False)
     assert compensate(stage, "--law", "exact_inverse", path="below.csv") == 3
     error = capsys.readouterr().err
-    assert re.search(r"u hits its lower limit, 0 V, first at \S+ s, and would need -[\d.]+ V at ", error)
+    assert re.search(r"u hits its lower limit, 0 V \(the path needs -[\d.]+ V at \S+ s\)", error)
     assert "0 to 100 V on u, -20 to 120 V on v (--range)" in error
     low, high = reach(model_of(), [(0.0, 100.0), (-20.0, 120.0)]).alone_um[0]
-    assert f"one axis with the others in their middle: x {low:.4g} to {high:.4g}" in error
+    assert f"Reach of slow paths from the initial position: x {low:.4g} to {high:.4g}" in error
 
 
 @pytest.mark.full

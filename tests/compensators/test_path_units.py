@@ -61,6 +61,15 @@ def test_a_path_far_above_the_travel_is_asked_about(tmp_path, capsys):
     path = _write(tmp_path / "path.csv", 1e3, radius_um=20.0)
     assert _drive(path, tmp_path / "drive.csv") == 2
     assert "in um the path goes to 4e+04 um, but the model travels" in capsys.readouterr().err
+    path = _write(tmp_path / "path.csv", 1.0, radius_um=150.0)  # more than it travels, less than ten times
+    assert _drive(path, tmp_path / "drive.csv") == 3
+    assert "check the unit (--units): the path goes to 300 um, the travel is" in capsys.readouterr().err
+
+
+def test_inches_are_inches(tmp_path):
+    path, out = _write(tmp_path / "path.csv", 1.0 / 25_400.0, ("x_inch", "y_inch")), tmp_path / "drive.csv"
+    assert _drive(path, out) == 0
+    assert np.abs(_reference(out)).max() == pytest.approx(2.0 * RADIUS_UM, rel=1e-9)
 
 
 def test_a_period_has_the_unit_of_its_option(tmp_path, capsys):
@@ -75,8 +84,8 @@ def test_a_unit_that_the_columns_contradict_or_nobody_knows_is_refused(tmp_path,
     path, out = _write(tmp_path / "path.csv", 1.0, ("x_um", "y_um"), 5.0), tmp_path / "drive.csv"
     assert _drive(path, out, "--units", "nm") == 2
     assert "name their units: x_um, y_um" in capsys.readouterr().err
-    assert _drive(_write(path, 1.0), out, "--units", "inch") == 2
-    assert "--units: 'inch' is not one of um, nm" in capsys.readouterr().err
+    assert _drive(_write(path, 1.0), out, "--units", "ell") == 2
+    assert "--units: 'ell' is not one of um, nm" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["record.csv", "record.npy"])

@@ -155,7 +155,13 @@ def test_a_replay_reproduces_the_stated_error(tmp_path, capsys, options, separat
     )
     assert (limits in text) == ("csv" in options)
     if "csv" in options:  # its header is the first line, as genfromtxt wants it
-        assert np.genfromtxt(out, delimiter=",", names=True).dtype.names == ("drive_x_v", "drive_y_v")
+        read = np.genfromtxt(out, delimiter=",", names=True)
+        assert read.dtype.names == ("drive_x_v", "drive_y_v")
+        assert text.splitlines()[len(read)].count("#") == 0  # its notes are below, for spreadsheets
+        assert text.splitlines()[-1].startswith("# points")
+    way = pd.read_csv(out.with_name(f"{out.stem}.run_up.csv"), comment="#")
+    first, last = table[:, 0] * scale[0] + scale[1], way.to_numpy()[-1, 1:]
+    assert np.abs(first - last).max() < 0.02 * scale[0] * np.ptp(table)  # both in the numbers of the table
 
 
 def test_points_are_placed_for_the_least_played_error(tmp_path):

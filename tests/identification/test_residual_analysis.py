@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hammerstein.identification.identify import identify
-from hammerstein.identification.residual_analysis import _strongest
+from hammerstein.identification.residual_analysis import _strongest, certain_noise
 from hammerstein.identification.settings import Settings
 from hammerstein.records.faults import faults
 from hammerstein.records.record import Record
@@ -24,6 +24,16 @@ def test_the_line_with_most_energy_is_the_strongest():
     assert _strongest(records, errors) == 40.0
     records, errors = zip(left(500, 2.0, 40.0), left(4000, 1.0, 25.0), strict=True)
     assert _strongest(records, errors) == 25.0
+
+
+@pytest.mark.parametrize("samples", [500, 20_000])
+def test_no_model_is_known_better_than_the_noise_is(samples):
+    """Of white noise alone, rms^2 and the noise squared differ by about 2.6 / sqrt(N) of it."""
+    rng, u = np.random.default_rng(4), np.sin(0.01 * np.arange(samples))
+    record = Record([u], [u + 0.1 * rng.standard_normal(samples)], T)
+    left = np.sqrt(0.1**2 - certain_noise([record], [0.1])[0] ** 2)
+    assert left >= 0.1 * np.sqrt(2.6 / np.sqrt(samples)) * (1.0 - 1e-9)
+    assert left < 0.1 * np.sqrt(8.0 / np.sqrt(samples))
 
 
 @pytest.mark.full

@@ -215,7 +215,7 @@ def test_displacements_in_nm_without_a_unit_are_asked_for_it(records, tmp_path, 
     assert _call(*call, "--units", "nm", "--json") == 0
     heights = [loop["height_um"] for loop in json.loads(capsys.readouterr().out)["loops"]]
     assert max(heights) == pytest.approx(90.0, rel=0.1)
-    assert _call(*call, "--units", "inch") == 2
+    assert _call(*call, "--units", "ell") == 2
     assert "is not one of" in capsys.readouterr().err
     assert _call(*call, "--units", "nm", "--output-scale", "0.001") == 2
     assert "repeats --output-scale" in capsys.readouterr().err
