@@ -169,11 +169,10 @@ def _saturation(trial: _Trial, largest_um: float, rows: Indices) -> str:
     flat = {name: k for name, k in ends.items() if slope[k] < FLAT * steepest}
     if not flat or max(float(slope[k]) for k in ends.values()) >= STEEPER * steepest:
         return ""
-    least = 100.0 * min(float(slope[k]) for k in flat.values()) / steepest
     row = rows[list(flat.values())[-1]]
     return (
-        f"saturates: towards its {' and '.join(flat)} readings (row {row}) its slope falls to {least:.0f} % "
-        "of the steepest slope; lower the amplitude, or use the model only between them"
+        f"saturates: towards its {' and '.join(flat)} readings (row {row}) its slope falls below "
+        f"{100.0 * FLAT:.0f} % of the steepest slope; lower the amplitude, or use the model only between them"
     )
 
 
