@@ -13,11 +13,13 @@ from hammerstein.experiment.report import (
     Condition,
     Report,
     banded_metric,
+    differing,
     is_direct,
     is_path,
     labels_of,
     largest,
     number,
+    operators_of,
     percent,
     told_apart,
 )
@@ -27,7 +29,7 @@ from hammerstein.signals import OneFrequency
 
 MOST_RANGES = 2  # ranges of a sweep that are told one by one; more are counted
 MOST_COLUMNS = 4  # conditions in the table
-MOST_ROWS = 8  # compensators or models in the table
+MOST_ROWS = 5  # compensators or models in the table
 MOST_LABELS = 3  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 NEVER_SETTLES = "does not settle in"  # of one that says that more cycles do not help
@@ -60,7 +62,35 @@ def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
     compared = any(row.rms_um is not None for row in report.rows)
     found = _answered(report, quote) or _uncertain(report, named)
     found = found or (_compared(report, named) if compared else _loops(report))
-    return [found, Sentence(" ".join(_conduct(report)))]
+    first = " ".join([*filter(None, (_yes_or_no(report), _enough_operators(report, named))), found.words])
+    return [found._replace(words=first), Sentence(" ".join(_conduct(report)))]
+
+
+def _yes_or_no(report: Report) -> str:
+    """Yes or no, where the scenario gives the limits that decide; the first compensator or model is asked."""
+    label, parts = next(iter(labels_of(report.rows)), ""), []
+    for name, limit in report.scenario.yes_if.items():
+        rows = (row for row in report.rows if row.compensator == label and is_direct(report, row))
+        value = largest(rows, name)
+        if value is not None:
+            words, _, unit = METRICS[name].meaning.partition(" [")
+            unit = unit.partition("]")[0].partition(",")[0]
+            parts.append((value <= limit, f"{words} {number(value)} {unit} (limit {limit:g} {unit})"))
+    verdict = "Yes" if all(kept for kept, _ in parts) else "No"
+    return f"{verdict}: {listed([words for _, words in parts])}." if parts else ""
+
+
+def _enough_operators(report: Report, contest: Contest) -> str:
+    """Number of operators with the smallest error, where the models differ in it."""
+    numbers = operators_of(report)
+    name = "rms_um" if report.reading_first else "rms_true_um"
+    found = _values((row for row in report.rows if is_direct(report, row)), name) if numbers else {}
+    if not found:
+        return ""
+    best = next(iter(contest.admitted(found)))
+    if numbers[best] == max(numbers.values()):
+        return f"{numbers[best]} operators, the most here, have the smallest error."
+    return f"{numbers[best]} operators. More do not lower the largest rms error."
 
 
 @dataclass(frozen=True)
@@ -183,24 +213,27 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
     winners = [min(rest, key=rest.__getitem__) for c in ordered if (rest := contest.admitted(first[c]))]
     best = ""
     if len(ordered) > MOST_COLUMNS and len(labels) > 1 and winners:
-        ranges = _ranges([names[c] for c in ordered if contest.admitted(first[c])], winners, contest.winner)
-        best = f"; smallest{' direct error' * (len(kinds) > 1)}: {ranges}"
+        known = [c for c in ordered if contest.admitted(first[c])]
+        best = _best(known, winners, contest.winner, "direct " * (len(kinds) > 1)) + " "
 
     def figures(condition: Condition, label: str) -> list[str]:
         return [number(found.get(condition, {}).get(label)) for found in kinds]
 
     both = ", direct / cross-coupling" * (len(kinds) > 1)
     if any(len(found) > 1 for found in first.values()):
-        told = labels if len(labels) <= MOST_ROWS else [*labels[: MOST_ROWS - 1], labels[-1]]
+        told, some = labels, ""
+        if len(labels) > MOST_ROWS:
+            told = [*labels[: MOST_ROWS - 1], labels[-1]]
+            some = f", the best {MOST_ROWS - 1} and the worst of {len(labels)}"
         rows = [(contest.named(n), *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
-        return Sentence(f"The {words}{both}{best}:", (("[um]", *(names[c] for c in shown)), *rows))
+        return Sentence(f"{best}The {words}{both}{some}:", (("[um]", *(names[c] for c in shown)), *rows))
     rows = [
         (f"{names[c]}, {contest.named(n)}" if len(labels) > 1 else names[c], *figures(c, n))
         for c in shown
         for n in first[c]
     ]
     heads = ("direct", "cross-coupling") if both else ("error",)
-    return Sentence(f"The {words}{best}:", (("[um]", *heads), *rows))
+    return Sentence(f"{best}The {words}:", (("[um]", *heads), *rows))
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -218,20 +251,22 @@ def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
     return sum(logarithms) / len(logarithms)
 
 
-def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
-    """``A from 10 Hz to 40 Hz and B at 50 Hz``; who has most of them where that gets long."""
-    pairs = groupby(zip(winners, names, strict=True), key=lambda pair: pair[0])
-    groups = [(label, [name for _, name in own]) for label, own in pairs]
+def _best(conditions: Sequence[Condition], winners: Sequence[str], quote: Quote, kind: str) -> str:
+    """Say who has the smallest error at each point of a sweep; who has most of them where that gets long."""
+    names = told_apart(conditions)
+    pairs = groupby(zip(winners, conditions, strict=True), key=lambda pair: pair[0])
+    groups = [(label, [names[condition] for _, condition in own]) for label, own in pairs]
+    if 1 < len(groups) <= MOST_RANGES:
+        told = [
+            f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
+            for label, inside in groups
+        ]
+        return f"Smallest {kind}error: {listed(told)}."
+    most = max(dict.fromkeys(winners), key=winners.count)
+    where = f"{winners.count(most)} of {len(winners)} points of the sweep"
     if len(groups) == 1:
-        return f"{quote(winners[0])} throughout"
-    if len(groups) > MOST_RANGES:
-        most = max(dict.fromkeys(winners), key=winners.count)
-        return f"{quote(most)} at {winners.count(most)} of {len(winners)} points of the sweep"
-    told = [
-        f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
-        for label, inside in groups
-    ]
-    return listed(told)
+        where = "every frequency" if differing(conditions) == ["frequency_hz"] else "every point of the sweep"
+    return f"{quote(most)} has the smallest {kind}error at {where}."
 
 
 def _loops(report: Report) -> Sentence:
@@ -262,7 +297,9 @@ def _grouped(runs: Sequence[str]) -> str:
         at = re.match(r"([\d.e+-]+) (Hz|um|V)", place)
         found.setdefault(label or place, []).extend([(float(at[1]), at[2])] if at else [])
     if len(found) >= MOST_LABELS:
-        return f"{len(found)} methods{_spread([at for own in found.values() for at in own])}, listed below"
+        more = len(found) - MOST_LABELS
+        names = [*list(found)[:MOST_LABELS], *([f"{more} more"] if more else [])]
+        return listed(names) + _spread([at for own in found.values() for at in own])
     return "; ".join(f"{label}{_spread(own)}" for label, own in found.items())
 
 

@@ -72,7 +72,7 @@ def legend_texts(figure: Figure) -> list[str]:
                 "drive": SINE_V,
                 "models": [{"label": str(n), "identification": {"operators": n}} for n in (3, 5, 8, 11, 15)],
             },
-            ["loops", "errors", "operators"],
+            ["loops", "operators"],
         ),
     ],
 )
