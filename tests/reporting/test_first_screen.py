@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
@@ -95,6 +96,19 @@ def test_claims_have_a_section_of_their_own_below_the_examples(reports: list[Rep
     assert "claim" not in examples.partition("<main")[2].replace("claims met", "claim")
     assert "circle, 20\xa0um, 50\xa0Hz" in examples
     assert 'class="bad"' not in page
+    told = re.search(r"<p>Not met or undecided; each report gives the cause:(.*?)</p>", page, re.S)[1]
+    links = re.findall(r'<a href="(claim\d+)/report.html">\1</a> \(C\)', told)
+    assert links == [f"claim{i}" for i in range(20)]
+    assert "reports/paper/readings/README.md" in paper
+
+
+def test_a_card_without_errors_tells_the_loops(tmp_path: Path) -> None:
+    drive = {"kind": "sine", "amplitude_v": 10, "frequency_hz": 50}
+    asked = {"question": "?", "actuator": "duo_bimorph_static", "drive": drive}
+    report = run(asked | {"sweep": {"frequency_hz": [20, 50]}}, "loops")
+    write_overview([report], tmp_path)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8").replace("\xa0", " ")
+    assert "<p>Loops, sine, 10 V, 20 to 50 Hz: <em>x</em> 117 um high, " in page
 
 
 def test_the_next_command_after_a_fit_without_validation_can_be_pasted(tmp_path: Path) -> None:
