@@ -219,20 +219,20 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
     def figures(condition: Condition, label: str) -> list[str]:
         return [number(found.get(condition, {}).get(label)) for found in kinds]
 
-    both = ", direct / cross-coupling" * (len(kinds) > 1)
     if any(len(found) > 1 for found in first.values()):
-        told, some = labels, ""
+        told = {n: contest.named(n) for n in labels}
         if len(labels) > MOST_ROWS:
-            told = [*labels[: MOST_ROWS - 1], labels[-1]]
-            some = f", the best {MOST_ROWS - 1} and the worst of {len(labels)}"
-        rows = [(contest.named(n), *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
-        return Sentence(f"{best}The {words}{both}{some}:", (("[um]", *(names[c] for c in shown)), *rows))
+            few = [*labels[: MOST_ROWS - 1], labels[-1]]
+            told = {n: f"last of {len(labels)}: " * (n == few[-1]) + told[n] for n in few}
+        rows = [(told[n], *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
+        head = "direct / cross-coupling [um]" if len(kinds) > 1 else "[um]"
+        return Sentence(f"{best}The {words}:", ((head, *(names[c] for c in shown)), *rows))
     rows = [
         (f"{names[c]}, {contest.named(n)}" if len(labels) > 1 else names[c], *figures(c, n))
         for c in shown
         for n in first[c]
     ]
-    heads = ("direct", "cross-coupling") if both else ("error",)
+    heads = ("direct", "cross-coupling") if len(kinds) > 1 else ("error",)
     return Sentence(f"{best}The {words}:", (("[um]", *heads), *rows))
 
 
@@ -263,9 +263,9 @@ def _best(conditions: Sequence[Condition], winners: Sequence[str], quote: Quote,
         ]
         return f"Smallest {kind}error: {listed(told)}."
     most = max(dict.fromkeys(winners), key=winners.count)
-    where = f"{winners.count(most)} of {len(winners)} points of the sweep"
+    where = f"{winners.count(most)} of {len(winners)} points"
     if len(groups) == 1:
-        where = "every frequency" if differing(conditions) == ["frequency_hz"] else "every point of the sweep"
+        where = "every frequency" if differing(conditions) == ["frequency_hz"] else "every point"
     return f"{quote(most)} has the smallest {kind}error at {where}."
 
 
