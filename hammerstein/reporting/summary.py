@@ -205,16 +205,16 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
     ordered = sorted(first, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
     names = told_apart(ordered)
     labels = sorted({n for found in first.values() for n in found}, key=lambda n: (_typical(first, n), n))
-    shown = ordered
+    shown, words = ordered, f"The {words}:"
     if len(ordered) > MOST_COLUMNS:  # the ends, the middle, and where the best one is worst
         worst = max(ordered, key=lambda c: first[c].get(labels[0], 0.0))
         kept = {ordered[0], ordered[len(ordered) // 2], worst, ordered[-1]}
         shown = [condition for condition in ordered if condition in kept]
-    winners = [min(rest, key=rest.__getitem__) for c in ordered if (rest := contest.admitted(first[c]))]
-    best = ""
-    if len(ordered) > MOST_COLUMNS and len(labels) > 1 and winners:
-        known = [c for c in ordered if contest.admitted(first[c])]
-        best = _best(known, winners, contest.winner, "direct " * (len(kinds) > 1)) + " "
+        if len(labels) > 1:
+            direct = "direct " * (len(kinds) > 1)
+            words = (
+                f"{_best({c: contest.admitted(first[c]) for c in ordered}, contest.winner, direct)}{words}"
+            )
 
     def figures(condition: Condition, label: str) -> list[str]:
         return [number(found.get(condition, {}).get(label)) for found in kinds]
@@ -226,14 +226,14 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
             told = {n: f"last of {len(labels)}: " * (n == few[-1]) + told[n] for n in few}
         rows = [(told[n], *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
         head = "direct / cross-coupling [um]" if len(kinds) > 1 else "[um]"
-        return Sentence(f"{best}The {words}:", ((head, *(names[c] for c in shown)), *rows))
+        return Sentence(words, ((head, *(names[c] for c in shown)), *rows))
     rows = [
         (f"{names[c]}, {contest.named(n)}" if len(labels) > 1 else names[c], *figures(c, n))
         for c in shown
         for n in first[c]
     ]
     heads = ("direct", "cross-coupling") if len(kinds) > 1 else ("error",)
-    return Sentence(f"{best}The {words}:", (("[um]", *heads), *rows))
+    return Sentence(words, (("[um]", *heads), *rows))
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -251,22 +251,25 @@ def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
     return sum(logarithms) / len(logarithms)
 
 
-def _best(conditions: Sequence[Condition], winners: Sequence[str], quote: Quote, kind: str) -> str:
+def _best(found: dict[Condition, dict[str, float]], quote: Quote, kind: str) -> str:
     """Say who has the smallest error at each point of a sweep; who has most of them where that gets long."""
-    names = told_apart(conditions)
-    pairs = groupby(zip(winners, conditions, strict=True), key=lambda pair: pair[0])
-    groups = [(label, [names[condition] for _, condition in own]) for label, own in pairs]
+    winners = {c: min(values, key=values.__getitem__) for c, values in found.items() if values}
+    names, labels = told_apart(list(winners)), list(winners.values())
+    pairs = groupby(winners.items(), key=lambda pair: pair[1])
+    groups = [(label, [names[condition] for condition, _ in own]) for label, own in pairs]
+    if not groups:
+        return ""
     if 1 < len(groups) <= MOST_RANGES:
         told = [
             f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
             for label, inside in groups
         ]
-        return f"Smallest {kind}error: {listed(told)}."
-    most = max(dict.fromkeys(winners), key=winners.count)
-    where = f"{winners.count(most)} of {len(winners)} points"
+        return f"Smallest {kind}error: {listed(told)}. "
+    most = max(dict.fromkeys(labels), key=labels.count)
+    where = f"{labels.count(most)} of {len(labels)} points"
     if len(groups) == 1:
-        where = "every frequency" if differing(conditions) == ["frequency_hz"] else "every point"
-    return f"{quote(most)} has the smallest {kind}error at {where}."
+        where = "every frequency" if differing(list(winners)) == ["frequency_hz"] else "every point"
+    return f"{quote(most)} has the smallest {kind}error at {where}. "
 
 
 def _loops(report: Report) -> Sentence:
@@ -289,26 +292,29 @@ def _loops(report: Report) -> Sentence:
     return Sentence("The loops of the sensor's reading:", (head, *told))
 
 
-def _grouped(runs: Sequence[str]) -> str:
-    """Runs by their compensator or model, such as ``paper (3 runs, 15 to 40 Hz)``."""
+def _grouped(report: Report, runs: Sequence[str]) -> str:
+    """Runs by their compensator or model, such as ``paper (3 runs, 15 to 40 Hz)``; what all share once."""
     found: dict[str, list[tuple[float, str]]] = {}
     for run in runs:
         label, _, place = run.partition(": ")[0].rpartition(" at ")
         at = re.match(r"([\d.e+-]+) (Hz|um|V)", place)
         found.setdefault(label or place, []).extend([(float(at[1]), at[2])] if at else [])
-    if len(found) >= MOST_LABELS:
-        more = len(found) - MOST_LABELS
-        names = [*list(found)[:MOST_LABELS], *([f"{more} more"] if more else [])]
-        return listed(names) + _spread([at for own in found.values() for at in own])
-    return "; ".join(f"{label}{_spread(own)}" for label, own in found.items())
+    places = {label: _span(own) for label, own in found.items()}
+    if len(found) < MOST_LABELS and len(set(places.values())) > 1:
+        counts = {label: number_of(len(own), "run") for label, own in found.items()}
+        return "; ".join(f"{n} ({counts[n]}{f', {at}' * bool(at)})" for n, at in places.items())
+    more = [f"{len(found) - MOST_LABELS} more"] * (len(found) > MOST_LABELS)
+    span = _span([at for own in found.values() for at in own])
+    whole = _span([(row.frequency_hz, "Hz") for row in report.rows])
+    return listed([*list(found)[:MOST_LABELS], *more]) + f" ({span})" * (span not in ("", whole))
 
 
-def _spread(places: Sequence[tuple[float, str]]) -> str:
-    """Number of runs and their frequencies or sizes, in brackets."""
-    if not places:
-        return ""
-    ends = " to ".join(f"{value:g}" for value, _ in dict.fromkeys([min(places), max(places)]))
-    return f" ({number_of(len(places), 'run')}, {ends} {places[0][1]})"
+def _span(places: Sequence[tuple[float, str]]) -> str:
+    """Lowest and highest frequency or size."""
+    ends = (
+        " to ".join(f"{value:g}" for value, _ in dict.fromkeys([min(places), max(places)])) if places else ""
+    )
+    return f"{ends} {places[0][1]}" if places else ""
 
 
 def doubts(report: Report) -> list[str]:
@@ -325,8 +331,8 @@ def unsettled_runs(report: Report) -> str:
     after = "raise settle_cycles or settle_s in [measure]"
     if never:
         some = f"{after} (does not help {never} of them)"
-        after = some if never < len(texts) else "more cycles do not help, see the limits of these results"
-    named = f"{len(texts)} of {runs} runs had not settled: {_grouped(texts)}"
+        after = some if never < len(texts) else "more cycles do not help"
+    named = f"{len(texts)} of {runs} runs had not settled: {_grouped(report, texts)}"
     named = named if len(texts) != runs else "No run had settled"
     return f"{named}. These numbers still change; {after}."
 
@@ -340,8 +346,8 @@ def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:
 def _clipped(report: Report, words: str, what: str) -> str:
     """Sentence on runs that a range clipped; empty if it clipped none."""
     texts, runs = [text for text in report.statements if words in text], len(_runs(report))
-    named = f": {_grouped(texts)}" if len(texts) < runs else ""
-    return f"{what} in {len(texts)} of {runs} runs{named}." if texts else ""
+    named = f": {_grouped(report, texts)}" if len(texts) < runs else ""
+    return f"{what} {len(texts)} of {runs} runs{named}." if texts else ""
 
 
 def _conduct(report: Report) -> Iterator[str]:
@@ -352,8 +358,8 @@ def _conduct(report: Report) -> Iterator[str]:
         yield f"Flagged by {'its' if len(flagged) == 1 else 'their'} fit report: {', '.join(flagged)}."
     if any(GUESSED in text for text in report.statements):
         yield "The voltages exceed the records of the simulated actuator: its motion there is extrapolated."
-    yield _clipped(report, DRIVE_CUT, "The drive's range clipped the voltage") or "No voltage was clipped."
-    if reading := _clipped(report, SENSOR_CUT, "The sensor's range clipped the reading"):
+    yield _clipped(report, DRIVE_CUT, "The drive's range clipped") or "No voltage was clipped."
+    if reading := _clipped(report, SENSOR_CUT, "The sensor's range clipped"):
         yield reading
     signal = report.scenario.signal
     if unsettled := unsettled_runs(report):
