@@ -306,7 +306,7 @@ def _grouped(report: Report, runs: Sequence[str]) -> str:
     more = [f"{len(found) - MOST_LABELS} more"] * (len(found) > MOST_LABELS)
     span = _span([at for own in found.values() for at in own])
     whole = _span([(row.frequency_hz, "Hz") for row in report.rows])
-    return listed([*list(found)[:MOST_LABELS], *more]) + f" ({span})" * (span not in ("", whole))
+    return ", ".join([*list(found)[:MOST_LABELS], *more]) + f" ({span})" * (span not in ("", whole))
 
 
 def _span(places: Sequence[tuple[float, str]]) -> str:
@@ -333,8 +333,9 @@ def unsettled_runs(report: Report) -> str:
         some = f"{after} (does not help {never} of them)"
         after = some if never < len(texts) else "more cycles do not help"
     named = f"{len(texts)} of {runs} runs had not settled: {_grouped(report, texts)}"
-    named = named if len(texts) != runs else "No run had settled"
-    return f"{named}. These numbers still change; {after}."
+    if len(texts) == runs:
+        return f"No run had settled. These numbers still change; {after}."
+    return f"{named}. These still change; {after}."
 
 
 def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:

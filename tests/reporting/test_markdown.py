@@ -313,7 +313,7 @@ def test_one_statement_that_is_left_out_is_one() -> None:
 def test_many_loops_that_had_not_settled_are_named() -> None:
     said = tuple(f"law {k} at {10 * k} Hz, axis x: the position has not settled; try." for k in range(1, 6))
     text = answer(replace(swept(), statements=said))
-    assert "5 of 24 runs had not settled: law 1, law 2, law 3 and 2 more (10 to 50 Hz). These " in text
+    assert "5 of 24 runs had not settled: law 1, law 2, law 3, 2 more (10 to 50 Hz). These " in text
     assert "law 1 (1 run, 10 Hz); law 2 (1 run, 20 Hz). " in answer(replace(swept(), statements=said[:2]))
 
 
