@@ -93,12 +93,6 @@ def _in_order(report: Report) -> tuple[bool, bool, list[int], str]:
     return not place, not place.startswith("Fig"), numbers, report.name
 
 
-def _headed(report: Report) -> str:
-    """Where a report stands in the paper, as a heading."""
-    place = printed_at(report)
-    return place[:1].upper() + place[1:]
-
-
 def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
     """Copy the key figure of a report beside the page; give its name.
 
@@ -122,7 +116,7 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         package="hammerstein.paper",
         reports=reports,
         figures=figures,
-        places={report.name: _headed(report) for report in reports},
+        places={report.name: (at := printed_at(report))[:1].upper() + at[1:] for report in reports},
         circle=next((j for j in counted if j.id == "C8"), None),  # in the words on the literal reading
         readings=readings_of(reports),
         tables=[_table(group, actuators) for group in (counted, [j for j in judgements if j.calibrated])],

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import quote
 
 from hammerstein.experiment.report import (
@@ -70,27 +70,15 @@ def _assessed(reports: Sequence[Report]) -> dict[type[Assessment], list[Report]]
     return found
 
 
-class Section(NamedTuple):
-    """Cards below one title.
-
-    lines : result of an assessment over all; more : where its reasons are
-    """
-
-    title: str
-    cards: Sequence[Card]
-    lines: Sequence[str] = ()
-    more: str = ""
-
-
-def _sections(reports: Sequence[Report], out: Path) -> Iterator[Section]:
-    """Examples first, assessed reports below."""
+def _sections(reports: Sequence[Report], out: Path) -> Iterator[tuple[str, list[str], str, list[Card]]]:
+    """Title, result of an assessment over all, where its reasons are, and cards; assessed ones below."""
     assessed = _assessed(reports)
     judged = {id(report) for group in assessed.values() for report in group}
     examples = [_card(report, out) for report in reports if id(report) not in judged]
     if examples:
-        yield Section("Examples" if assessed else "", examples)
+        yield "Examples" if assessed else "", [], "", examples
     for kind, group in assessed.items():
-        yield Section(kind.title, [_card(report, out) for report in group], kind.tally(group), kind.more)
+        yield kind.title, kind.tally(group), kind.more, [_card(report, out) for report in group]
 
 
 def _card(report: Report, out: Path) -> Card:
