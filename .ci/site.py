@@ -36,6 +36,11 @@ main { flex: 1 1 30rem; min-width: 0; max-width: 52rem; padding: 1.5rem }
 a { color: #0a5ca8 } img { max-width: 100% }
 pre { background: #f5f6f8; padding: .8rem; overflow-x: auto } code { font-size: .9em }
 table { border-collapse: collapse; display: block; overflow-x: auto }
+.keys { display: table; table-layout: fixed; width: 100%; overflow-wrap: anywhere }
+.keys th:nth-child(1) { width: 17% } .keys th:nth-child(2) { width: 24% } .keys th:nth-child(3) { width: 14% }
+@media (max-width: 40rem) { .keys tr, .keys td { display: block } .keys tr:first-child { display: none }
+  .keys td.default:not(:empty)::before { content: "default: " }
+  .keys td { border: 0; padding: .1rem .7rem } .keys tr { border-bottom: 1px solid #ddd; padding: .4rem 0 } }
 th, td { border-bottom: 1px solid #ddd; padding: .3rem .7rem; text-align: left; vertical-align: top }
 """
 
@@ -160,7 +165,7 @@ def keys() -> str:
     rows = [
         f'<h2 id="{name}">{html.escape(head)}</h2>'
         f"<p>{html.escape(tables[name].get('description', '').partition(chr(10))[0])}</p>"
-        "<table><tr><th>key<th>type<th>default<th>meaning"
+        '<table class="keys"><tr><th>key<th>type<th>default<th>meaning'
         + "".join(key_row(key, node, tables[name], heads) for key, node in tables[name]["properties"].items())
         + "</table>"
         for name, head in heads.items()
@@ -196,10 +201,29 @@ def tables_of(node: dict[str, Any], bracket: str = "[") -> Iterator[tuple[str, s
 
 def key_row(key: str, node: dict[str, Any], table: dict[str, Any], heads: dict[str, str]) -> str:
     """One key: its type, its default, its meaning."""
-    default = json.dumps(node["default"]) if "default" in node and "$ref" not in node else ""
-    needed = "required" if key in table.get("required", ()) else html.escape(default)
-    said = html.escape(str(node.get("description", "")))
-    return f"<tr><td><code>{key}</code><td>{kind_of(node, heads)}<td>{needed}<td>{said}"
+    default = node.get("default", "")
+    said = "none" if default is None else "empty" if default in ([], {}, "") else json.dumps(default)
+    if "$ref" in node or "default" not in node:
+        said = ""
+    needed = (
+        "<td>required" if key in table.get("required", ()) else f'<td class="default">{html.escape(said)}'
+    )
+    meaning = html.escape(str(node.get("description", "")))
+    return f"<tr><td><code>{key}</code><td>{kind_of(node, heads)}{needed}<td>{meaning}"
+
+
+MOST_LISTED = 10
+"""Names from which a list of them is folded."""
+TYPES = {
+    "number": "number",
+    "integer": "whole number",
+    "string": "text",
+    "boolean": "true or false",
+    "object": "table",
+    "array": "list",
+    "null": "none",
+}
+"""Types of JSON in words."""
 
 
 def kind_of(node: dict[str, Any], heads: dict[str, str]) -> str:
@@ -209,14 +233,41 @@ def kind_of(node: dict[str, Any], heads: dict[str, str]) -> str:
         return f'<a href="#{name}">{html.escape(heads.get(name, name))}</a>'
     for several in ("anyOf", "oneOf"):
         if several in node:
-            return " or ".join(kind_of(part, heads) for part in node[several])
+            first, *others = [kind_of(part, heads) for part in node[several]]
+            same = first.partition("&quot;")[0].partition(">")[2]  # of tables of several kinds: said once
+            return " or ".join([first, *(text.replace(f">{same}", ">") if same else text for text in others)])
     if "const" in node or "enum" in node:
-        return ", ".join(json.dumps(value) for value in node.get("enum", [node.get("const")]))
+        values = node.get("enum", [node.get("const")])
+        listed = ", ".join(json.dumps(value) for value in values)
+        folded = f"<details><summary>one of {len(values)} names</summary>{listed}</details>"
+        return listed if len(values) < MOST_LISTED else folded
     if node.get("type") == "array" and isinstance(node.get("items"), dict):
-        return f"list of {kind_of(node['items'], heads)}"
-    signs = {"minimum": "&ge;", "exclusiveMinimum": "&gt;", "maximum": "&le;", "exclusiveMaximum": "&lt;"}
-    limits = [f" {sign} {node[limit]}" for limit, sign in signs.items() if limit in node]
-    return html.escape(str(node.get("type", "any"))) + ",".join(limits)
+        return f"list of {plural(kind_of(node['items'], heads))}"
+    if parts := node.get("prefixItems"):
+        return f"list of {len(parts)} {plural(kind_of(parts[0], heads))}"
+    return TYPES[node["type"]] + limits_of(node) if "type" in node else "any"
+
+
+def plural(words: str) -> str:
+    """Of a type: ``lists of numbers``."""
+    return re.sub(r"^(whole number|number|list|table|text)\b", r"\1s", words)
+
+
+def limits_of(node: dict[str, Any]) -> str:
+    """Limits of a number in words."""
+    low, high = (short(node[end]) if end in node else "" for end in ("minimum", "maximum"))
+    if low and high:
+        return f" from {low} to {high}"
+    return f" of at least {low}" if low else f" of at most {high}" if high else ""
+
+
+def short(value: float) -> str:
+    """Number without zeros that say nothing: 1e-6, 1e8."""
+    return re.sub(
+        r"e([+-])0*",
+        lambda sign: "e" + sign[1].strip("+"),
+        f"{value:.15g}" if abs(value) < 1e5 else f"{value:g}",
+    )
 
 
 def constant_tables() -> str:

@@ -265,6 +265,15 @@ def identified_at(report: Report) -> dict[str, float]:
     return {label: frequency for label, frequency in found.items() if frequency is not None}
 
 
+def operators_of(report: Report) -> dict[str, int]:
+    """Number of play operators of each model, where the models differ in nothing else; otherwise empty."""
+    sources = {model.label: model.identification for model in report.scenario.models}
+    numbers = {label: getattr(source, "operators", None) for label, source in sources.items()}
+    found = {label: number for label, number in numbers.items() if isinstance(number, int)}
+    others = {source.model_dump_json(exclude={"operators"}) for source in sources.values() if source}
+    return found if len(set(found.values())) == len(sources) > len(others) == 1 else {}
+
+
 def largest(rows: Iterable[Row], name: str) -> float | None:
     """Largest value of a figure; None where no row has it."""
     values = [value for row in rows if (value := getattr(row, name)) is not None]

@@ -73,6 +73,10 @@ class Paper(Assessment):
     kind: Literal["paper"]
     title: ClassVar[str] = "Claims of the paper"
     number_names: ClassVar[tuple[str, ...]] = (CLAIMED,)
+    more: ClassVar[str] = (
+        "Why the scenarios take this reading of the paper, and what the others give: "
+        "reports/paper/readings/README.md in the source of the package."
+    )
     reading_first: ClassVar[bool] = True  # as the paper's figures show it
 
     figure: str = Field(default="", description='simulated figure of the paper, such as "Fig. 9"')

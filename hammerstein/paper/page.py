@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -85,11 +86,11 @@ def write_page(reports: Sequence[Report], out: Path, page: Path, overwrite: bool
     return stage.kept
 
 
-def _in_order(report: Report) -> tuple[bool, list[int], str]:
-    """Figures in the order of their numbers; those without a number first, those not in the paper last."""
-    figure = printed_at(report)
-    words = "".join(c if c.isdigit() else " " for c in figure.split(",")[0])
-    return not figure, [int(word) for word in words.split()][:1], report.name
+def _in_order(report: Report) -> tuple[bool, bool, list[int], str]:
+    """Figures of the paper by their numbers, then its sections, then what is not in the paper."""
+    place = printed_at(report)
+    numbers = [int(word) for word in re.findall(r"\d+", re.split("[,:]", place)[0])]
+    return not place, not place.startswith("Fig"), numbers, report.name
 
 
 def _copied(report: Report, out: Path, stage: Stage) -> list[str]:
@@ -115,7 +116,8 @@ def _rendered(reports: Sequence[Report], figures: dict[str, list[str]]) -> str:
         package="hammerstein.paper",
         reports=reports,
         figures=figures,
-        places={report.name: printed_at(report) for report in reports},
+        places={report.name: (at := printed_at(report))[:1].upper() + at[1:] for report in reports},
+        circle=next((j for j in counted if j.id == "C8"), None),  # in the words on the literal reading
         readings=readings_of(reports),
         tables=[_table(group, actuators) for group in (counted, [j for j in judgements if j.calibrated])],
         quoted={  # sentences of the paper, each with the claims that it makes

@@ -253,13 +253,22 @@ def _cells(finding: Finding) -> dict[str, str]:
         cells["baseline"], cells["now"] = _distinct(before, now)
         moved, tolerance = deviation(finding.metric, now, before), finding.tolerance
         relative = limit(before, tolerance) > tolerance.absolute  # else the absolute bound is the larger one
-        cells["change"] = f"{100.0 * moved / abs(before):+.2g} %" if relative else f"{moved:+.3g}"
+        cells["change"] = f"{_rounded(100.0 * moved / abs(before), 2)} %" if relative else _rounded(moved, 3)
         cells["allowed"] = f"{100.0 * tolerance.relative:g} %" if relative else f"{tolerance.absolute:g}"
         return cells
     stored = finding.kind in (Kind.MISSING_ROW, Kind.MISSING_NUMBER)
     cells["baseline"] = _plain(before) if before is not None else "present" if stored else MISSING
     cells["now"] = _plain(now) if now is not None else MISSING if stored else "present"
     return cells
+
+
+def _rounded(change: float, digits: int) -> str:
+    """Change with its sign; a large one has no exponent.
+
+    >>> _rounded(287.3, 2), _rounded(-0.01234, 3)
+    ('+290', '-0.0123')
+    """
+    return f"{float(f'{change:.{digits}g}'):+.15g}"
 
 
 def _plain(value: float | str) -> str:

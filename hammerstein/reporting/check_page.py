@@ -15,8 +15,9 @@ MOST_METRICS = 2
 MOST_FIGURES = 30
 """Of one page: more load too slowly."""
 
-
 MOST_CHANGED = "At most three rows are drawn, those that changed most."
+NOT_DRAWN = "There is no figure: this run has no number of the baseline."
+TOO_MANY = f"There is no figure: the page has {MOST_FIGURES}, those of other scenarios."
 
 
 def check_page(result: CheckResult) -> str:
@@ -34,6 +35,9 @@ def check_page(result: CheckResult) -> str:
         drawn[f"{number}.svg"] = svg_of(moved_figure(courses, metric))
         title = f"{check.name}: {metric}, baseline and now"
         shown[check.name].append(Shown(f"{number}", title, MOST_CHANGED).markdown())
+    for check in result.checks:
+        if check.accepted and not check.passed and not shown[check.name]:
+            shown[check.name].append(Markdown(TOO_MANY if any(_metrics(check)) else NOT_DRAWN))
     failed = sum(not check.passed for check in result.checks)
     return Page(
         heading=Markdown(TITLE),

@@ -70,15 +70,15 @@ def _assessed(reports: Sequence[Report]) -> dict[type[Assessment], list[Report]]
     return found
 
 
-def _sections(reports: Sequence[Report], out: Path) -> Iterator[tuple[str, list[str], list[Card]]]:
-    """Title, result of an assessment over all, and cards; examples first, assessed ones below."""
+def _sections(reports: Sequence[Report], out: Path) -> Iterator[tuple[str, list[str], str, list[Card]]]:
+    """Title, result of an assessment over all, where its reasons are, and cards; assessed ones below."""
     assessed = _assessed(reports)
     judged = {id(report) for group in assessed.values() for report in group}
     examples = [_card(report, out) for report in reports if id(report) not in judged]
     if examples:
-        yield "Examples" if assessed else "", [], examples
+        yield "Examples" if assessed else "", [], "", examples
     for kind, group in assessed.items():
-        yield kind.title, kind.tally(group), [_card(report, out) for report in group]
+        yield kind.title, kind.tally(group), kind.more, [_card(report, out) for report in group]
 
 
 def _card(report: Report, out: Path) -> Card:
@@ -88,18 +88,36 @@ def _card(report: Report, out: Path) -> Card:
     """
     drawn = [name for name in Manifest.read(out / report.name).files if name.endswith(".svg")]
     picture = min(drawn, key=place_of, default="")
-    worst, words = _worst(report), [judgement.word for judgement in report.judgements]
+    worst = [(label, f"{value} um") for label, value in _worst(report)]
+    told, shown = (_told(report), worst) if worst else (f"Loops, {_conditions(report)}", _loops(report))
+    words = [judgement.word for judgement in report.judgements]
     return {
         "name": report.name,
         "question": report.scenario.question,
         "page": quote(f"{report.name}/report.html"),
         "picture": quote(f"{report.name}/{picture}") if picture else "",
-        "told": _told(report),
-        "worst": tuple(worst[:MOST_SHOWN]),
-        "more": max(0, len(worst) - MOST_SHOWN),
+        "told": told,
+        "shown": tuple(shown[:MOST_SHOWN]),
+        "more": max(0, len(shown) - MOST_SHOWN),
         "beyond": _beyond_range(report),
         "verdicts": ", ".join(f"{words.count(word)} {word}" for word in sorted(set(words))),
+        "unmet": [judgement.id for judgement in report.judgements if not judgement.agrees],
     }
+
+
+def _loops(report: Report) -> list[tuple[str, str]]:
+    """Ends of the height and of the width of the loops of each axis that is driven itself."""
+    own = [row for row in _within_range(report) if row.height_um and is_direct(report, row)]
+    return [
+        (axis, f"{_ends(rows, 'height_um')} um high, {_ends(rows, 'width_percent')} % wide")
+        for axis, rows in by_key(own, lambda row: row.measured_axis).items()
+    ]
+
+
+def _ends(rows: Sequence[Row], name: str) -> str:
+    """Least and largest value of a figure."""
+    values = [float(value) for row in rows if (value := getattr(row, name)) is not None]
+    return " to ".join(dict.fromkeys([number(min(values)), number(max(values))])) if values else "?"
 
 
 def _conditions(report: Report) -> str:

@@ -14,7 +14,6 @@ from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
 from hammerstein.reporting.figures.choice import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
-from hammerstein.reporting.figures.sweep import MOST_CURVES
 from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs
 from hammerstein.reporting.summary import sentences
 from hammerstein.reporting.tables import number_tables
@@ -226,12 +225,10 @@ def figure_of(name: str, report: Report) -> Shown:
     compared, models = report.scenario.reference is not None, report.scenario.models
     banded = ["Median and 5 to 95 % of the random actuators, beside the nominal one."] * bool(report.bands)
     identified = ["A star marks the frequency at which a model was identified."] * bool(identified_at(report))
-    drawn = (*report.scenario.compensators, *report.scenario.models)
-    behind = ["Grey curves belong to the other panels."] * (len(drawn) > MOST_CURVES)
     remarks = {
         "loops": ["The wide grey line is the ideal response.", _lag(report)] * compared
         + ["Dark dashes show the models."] * bool(models and len(models) <= MOST_OVERLAYS),
-        **dict.fromkeys(("sweep", "sweep_true"), identified + banded + behind),
+        **dict.fromkeys(("sweep", "sweep_true"), identified + banded),
         "path": [f"Short dashes: the {'reference' if compared else 'prediction'}."],
         "trials_true": banded,
         "trials": banded,

@@ -13,11 +13,13 @@ from hammerstein.experiment.report import (
     Condition,
     Report,
     banded_metric,
+    differing,
     is_direct,
     is_path,
     labels_of,
     largest,
     number,
+    operators_of,
     percent,
     told_apart,
 )
@@ -27,7 +29,7 @@ from hammerstein.signals import OneFrequency
 
 MOST_RANGES = 2  # ranges of a sweep that are told one by one; more are counted
 MOST_COLUMNS = 4  # conditions in the table
-MOST_ROWS = 8  # compensators or models in the table
+MOST_ROWS = 5  # compensators or models in the table
 MOST_LABELS = 3  # compensators or models that are told in one clause
 NOT_SETTLED = "has not settled"  # the words of a statement of the report
 NEVER_SETTLES = "does not settle in"  # of one that says that more cycles do not help
@@ -60,7 +62,35 @@ def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
     compared = any(row.rms_um is not None for row in report.rows)
     found = _answered(report, quote) or _uncertain(report, named)
     found = found or (_compared(report, named) if compared else _loops(report))
-    return [found, Sentence(" ".join(_conduct(report)))]
+    first = " ".join([*filter(None, (_yes_or_no(report), _enough_operators(report, named))), found.words])
+    return [found._replace(words=first), Sentence(" ".join(_conduct(report)))]
+
+
+def _yes_or_no(report: Report) -> str:
+    """Yes or no, where the scenario gives the limits that decide; the first compensator or model is asked."""
+    label, parts = next(iter(labels_of(report.rows)), ""), []
+    for name, limit in report.scenario.yes_if.items():
+        rows = (row for row in report.rows if row.compensator == label and is_direct(report, row))
+        value = largest(rows, name)
+        if value is not None:
+            words, _, unit = METRICS[name].meaning.partition(" [")
+            unit = unit.partition("]")[0].partition(",")[0]
+            parts.append((value <= limit, f"{words} {number(value)} {unit} (limit {limit:g} {unit})"))
+    verdict = "Yes" if all(kept for kept, _ in parts) else "No"
+    return f"{verdict}: {listed([words for _, words in parts])}." if parts else ""
+
+
+def _enough_operators(report: Report, contest: Contest) -> str:
+    """Number of operators with the smallest error, where the models differ in it."""
+    numbers = operators_of(report)
+    name = "rms_um" if report.reading_first else "rms_true_um"
+    found = _values((row for row in report.rows if is_direct(report, row)), name) if numbers else {}
+    if not found:
+        return ""
+    best = next(iter(contest.admitted(found)))
+    if numbers[best] == max(numbers.values()):
+        return f"{numbers[best]} operators, the most here, have the smallest error."
+    return f"{numbers[best]} operators. More do not lower the largest rms error."
 
 
 @dataclass(frozen=True)
@@ -175,32 +205,35 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
     ordered = sorted(first, key=lambda c: (c.amplitude or 0.0, c.frequency_hz, c.trial or 0))
     names = told_apart(ordered)
     labels = sorted({n for found in first.values() for n in found}, key=lambda n: (_typical(first, n), n))
-    shown = ordered
+    shown, words = ordered, f"The {words}:"
     if len(ordered) > MOST_COLUMNS:  # the ends, the middle, and where the best one is worst
         worst = max(ordered, key=lambda c: first[c].get(labels[0], 0.0))
         kept = {ordered[0], ordered[len(ordered) // 2], worst, ordered[-1]}
         shown = [condition for condition in ordered if condition in kept]
-    winners = [min(rest, key=rest.__getitem__) for c in ordered if (rest := contest.admitted(first[c]))]
-    best = ""
-    if len(ordered) > MOST_COLUMNS and len(labels) > 1 and winners:
-        ranges = _ranges([names[c] for c in ordered if contest.admitted(first[c])], winners, contest.winner)
-        best = f"; smallest{' direct error' * (len(kinds) > 1)}: {ranges}"
+        if len(labels) > 1:
+            direct = "direct " * (len(kinds) > 1)
+            words = (
+                f"{_best({c: contest.admitted(first[c]) for c in ordered}, contest.winner, direct)}{words}"
+            )
 
     def figures(condition: Condition, label: str) -> list[str]:
         return [number(found.get(condition, {}).get(label)) for found in kinds]
 
-    both = ", direct / cross-coupling" * (len(kinds) > 1)
     if any(len(found) > 1 for found in first.values()):
-        told = labels if len(labels) <= MOST_ROWS else [*labels[: MOST_ROWS - 1], labels[-1]]
-        rows = [(contest.named(n), *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
-        return Sentence(f"The {words}{both}{best}:", (("[um]", *(names[c] for c in shown)), *rows))
+        told = {n: contest.named(n) for n in labels}
+        if len(labels) > MOST_ROWS:
+            few = [*labels[: MOST_ROWS - 1], labels[-1]]
+            told = {n: f"last of {len(labels)}: " * (n == few[-1]) + told[n] for n in few}
+        rows = [(told[n], *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
+        head = "direct / cross-coupling [um]" if len(kinds) > 1 else "[um]"
+        return Sentence(words, ((head, *(names[c] for c in shown)), *rows))
     rows = [
         (f"{names[c]}, {contest.named(n)}" if len(labels) > 1 else names[c], *figures(c, n))
         for c in shown
         for n in first[c]
     ]
-    heads = ("direct", "cross-coupling") if both else ("error",)
-    return Sentence(f"The {words}{best}:", (("[um]", *heads), *rows))
+    heads = ("direct", "cross-coupling") if len(kinds) > 1 else ("error",)
+    return Sentence(words, (("[um]", *heads), *rows))
 
 
 def listed(texts: Sequence[str]) -> str:
@@ -218,20 +251,25 @@ def _typical(values: dict[Condition, dict[str, float]], label: str) -> float:
     return sum(logarithms) / len(logarithms)
 
 
-def _ranges(names: Sequence[str], winners: Sequence[str], quote: Quote) -> str:
-    """``A from 10 Hz to 40 Hz and B at 50 Hz``; who has most of them where that gets long."""
-    pairs = groupby(zip(winners, names, strict=True), key=lambda pair: pair[0])
-    groups = [(label, [name for _, name in own]) for label, own in pairs]
+def _best(found: dict[Condition, dict[str, float]], quote: Quote, kind: str) -> str:
+    """Say who has the smallest error at each point of a sweep; who has most of them where that gets long."""
+    winners = {c: min(values, key=values.__getitem__) for c, values in found.items() if values}
+    names, labels = told_apart(list(winners)), list(winners.values())
+    pairs = groupby(winners.items(), key=lambda pair: pair[1])
+    groups = [(label, [names[condition] for condition, _ in own]) for label, own in pairs]
+    if not groups:
+        return ""
+    if 1 < len(groups) <= MOST_RANGES:
+        told = [
+            f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
+            for label, inside in groups
+        ]
+        return f"Smallest {kind}error: {listed(told)}. "
+    most = max(dict.fromkeys(labels), key=labels.count)
+    where = f"{labels.count(most)} of {len(labels)} points"
     if len(groups) == 1:
-        return f"{quote(winners[0])} throughout"
-    if len(groups) > MOST_RANGES:
-        most = max(dict.fromkeys(winners), key=winners.count)
-        return f"{quote(most)} at {winners.count(most)} of {len(winners)} points of the sweep"
-    told = [
-        f"{quote(label)} {f'at {inside[0]}' if len(inside) == 1 else f'from {inside[0]} to {inside[-1]}'}"
-        for label, inside in groups
-    ]
-    return listed(told)
+        where = "every frequency" if differing(list(winners)) == ["frequency_hz"] else "every point"
+    return f"{quote(most)} has the smallest {kind}error at {where}. "
 
 
 def _loops(report: Report) -> Sentence:
@@ -254,24 +292,29 @@ def _loops(report: Report) -> Sentence:
     return Sentence("The loops of the sensor's reading:", (head, *told))
 
 
-def _grouped(runs: Sequence[str]) -> str:
-    """Runs by their compensator or model, such as ``paper (3 runs, 15 to 40 Hz)``."""
+def _grouped(report: Report, runs: Sequence[str]) -> str:
+    """Runs by their compensator or model, such as ``paper (3 runs, 15 to 40 Hz)``; what all share once."""
     found: dict[str, list[tuple[float, str]]] = {}
     for run in runs:
         label, _, place = run.partition(": ")[0].rpartition(" at ")
         at = re.match(r"([\d.e+-]+) (Hz|um|V)", place)
         found.setdefault(label or place, []).extend([(float(at[1]), at[2])] if at else [])
-    if len(found) >= MOST_LABELS:
-        return f"{len(found)} methods{_spread([at for own in found.values() for at in own])}, listed below"
-    return "; ".join(f"{label}{_spread(own)}" for label, own in found.items())
+    places = {label: _span(own) for label, own in found.items()}
+    if len(found) < MOST_LABELS and len(set(places.values())) > 1:
+        counts = {label: number_of(len(own), "run") for label, own in found.items()}
+        return "; ".join(f"{n} ({counts[n]}{f', {at}' * bool(at)})" for n, at in places.items())
+    more = [f"{len(found) - MOST_LABELS} more"] * (len(found) > MOST_LABELS)
+    span = _span([at for own in found.values() for at in own])
+    whole = _span([(row.frequency_hz, "Hz") for row in report.rows])
+    return ", ".join([*list(found)[:MOST_LABELS], *more]) + f" ({span})" * (span not in ("", whole))
 
 
-def _spread(places: Sequence[tuple[float, str]]) -> str:
-    """Number of runs and their frequencies or sizes, in brackets."""
-    if not places:
-        return ""
-    ends = " to ".join(f"{value:g}" for value, _ in dict.fromkeys([min(places), max(places)]))
-    return f" ({number_of(len(places), 'run')}, {ends} {places[0][1]})"
+def _span(places: Sequence[tuple[float, str]]) -> str:
+    """Lowest and highest frequency or size."""
+    ends = (
+        " to ".join(f"{value:g}" for value, _ in dict.fromkeys([min(places), max(places)])) if places else ""
+    )
+    return f"{ends} {places[0][1]}" if places else ""
 
 
 def doubts(report: Report) -> list[str]:
@@ -288,10 +331,11 @@ def unsettled_runs(report: Report) -> str:
     after = "raise settle_cycles or settle_s in [measure]"
     if never:
         some = f"{after} (does not help {never} of them)"
-        after = some if never < len(texts) else "more cycles do not help, see the limits of these results"
-    named = f"{len(texts)} of {runs} runs had not settled: {_grouped(texts)}"
-    named = named if len(texts) != runs else "No run had settled"
-    return f"{named}. These numbers still change; {after}."
+        after = some if never < len(texts) else "more cycles do not help"
+    named = f"{len(texts)} of {runs} runs had not settled: {_grouped(report, texts)}"
+    if len(texts) == runs:
+        return f"No run had settled. These numbers still change; {after}."
+    return f"{named}. These still change; {after}."
 
 
 def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:
@@ -303,8 +347,8 @@ def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:
 def _clipped(report: Report, words: str, what: str) -> str:
     """Sentence on runs that a range clipped; empty if it clipped none."""
     texts, runs = [text for text in report.statements if words in text], len(_runs(report))
-    named = f": {_grouped(texts)}" if len(texts) < runs else ""
-    return f"{what} in {len(texts)} of {runs} runs{named}." if texts else ""
+    named = f": {_grouped(report, texts)}" if len(texts) < runs else ""
+    return f"{what} {len(texts)} of {runs} runs{named}." if texts else ""
 
 
 def _conduct(report: Report) -> Iterator[str]:
@@ -315,8 +359,8 @@ def _conduct(report: Report) -> Iterator[str]:
         yield f"Flagged by {'its' if len(flagged) == 1 else 'their'} fit report: {', '.join(flagged)}."
     if any(GUESSED in text for text in report.statements):
         yield "The voltages exceed the records of the simulated actuator: its motion there is extrapolated."
-    yield _clipped(report, DRIVE_CUT, "The drive's range clipped the voltage") or "No voltage was clipped."
-    if reading := _clipped(report, SENSOR_CUT, "The sensor's range clipped the reading"):
+    yield _clipped(report, DRIVE_CUT, "The drive's range clipped") or "No voltage was clipped."
+    if reading := _clipped(report, SENSOR_CUT, "The sensor's range clipped"):
         yield reading
     signal = report.scenario.signal
     if unsettled := unsettled_runs(report):

@@ -57,6 +57,8 @@ class Assessment(Strict, ABC):
     """Heading of the table of judgements."""
     number_names: ClassVar[tuple[str, ...]] = ()
     """Names of the numbers of its judgements, for which a scenario may give tolerances."""
+    more: ClassVar[str] = ""
+    """Sentence below the results of several reports: where their reasons are."""
     reading_first: ClassVar[bool] = False
     """Whether errors of the sensor's reading are said before those of the true position."""
 

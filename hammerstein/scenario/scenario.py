@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.blocks.instruments import Instruments
@@ -83,7 +83,7 @@ DEEPEST = 32
 OWN_JSON = re.compile(r'"format":\s*"hammerstein-([a-z-]+)/')
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){32}""")
 """A dotted key of more parts than that, quoted or not."""
-WORDS = frozenset({"question", "tolerances", "assessment", "study"})
+WORDS = frozenset({"question", "yes_if", "tolerances", "assessment", "study"})
 """Keys of a scenario that change none of its numbers."""
 
 
@@ -134,6 +134,11 @@ class Scenario(WithInfinity):
     )
     answered_by: MetricName | None = Field(
         default=None, description="figure of merit that answers the question; the report starts with it"
+    )
+    yes_if: dict[MetricName, FiniteFloat] = Field(
+        default_factory=dict,
+        description="largest value of figures of merit for which the answer to the question is yes; the "
+        "first compensator or model is asked",
     )
     tolerances: dict[NumberName, Tolerance] = Field(
         default_factory=dict, description="tolerance of each number in a check, by name"

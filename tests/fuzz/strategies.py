@@ -229,7 +229,8 @@ def good_scenarios() -> list[dict[str, Any]]:
         found.append({"question": "?", "actuator": actuator, "drive": {"kind": "sine", "amplitude_v": 5.0,
                       "frequency_hz": 50.0}, "models": [{"label": "a", "model": actuator}],
                       "measure": {"settle_cycles": 1, "settle_s": 0.0, "record_every": 3},
-                      "tolerances": {"rms_um": {"relative": 0.1}}, "answered_by": "rms_um"})  # fmt: skip
+                      "tolerances": {"rms_um": {"relative": 0.1}}, "answered_by": "rms_um",
+                      "yes_if": {"rms_um": 1.0}})  # fmt: skip
     found.append({"question": "?", "reference": sine, "compensators": [{"label": "a", **laws[4]}],
                   "study": {"how": "random", "samples": 3, "seed": 2, "values": {
                       "reference.amplitude_um": [5.0, 10.0], "instruments.sensor.noise_um": [0.0, 0.1],

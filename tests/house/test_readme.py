@@ -1,4 +1,4 @@
-"""Every command and every line of Python in the README does what it says."""
+"""Every command of the README does what it says."""
 
 import re
 import shlex
@@ -13,15 +13,10 @@ TOP = Path(__file__).parents[2]
 README = (TOP / "README.md").read_text(encoding="utf-8")
 
 
-def _blocks(language):
-    """Contents of the fenced blocks of a language; one fence after another, for their ends look alike."""
-    found = re.findall(r"^```(\w*)\n(.*?)^```$", README, flags=re.M | re.S)
-    return [content for name, content in found if name == language]
-
-
 def _commands():
     """Commands in blocks and in the text, each once; those of pip and pytest are not ours."""
-    blocks = [line.rpartition("&& ")[2] for block in _blocks("") for line in block.splitlines()]
+    fenced = re.findall(r"^```\n(.*?)^```$", README, flags=re.M | re.S)
+    blocks = [line.rpartition("&& ")[2] for block in fenced for line in block.splitlines()]
     inline = re.findall(r"`(hammerstein [^`\n]+)`", README)
     return [c for c in dict.fromkeys((*blocks, *inline)) if c.startswith(("hammerstein ", "cd "))]
 
@@ -52,7 +47,6 @@ def own_folder(folder):
 
 def test_the_readme_has_commands():
     assert len(_commands()) >= 6
-    assert len(_blocks("python")) >= 1
 
 
 @pytest.mark.full
@@ -66,15 +60,6 @@ def _call(*arguments):
     with pytest.raises(SystemExit) as caught:
         main(list(arguments))
     return caught.value.code or 0
-
-
-@pytest.mark.full
-def test_the_python_of_the_readme_runs(own_folder, monkeypatch):
-    """One block after another, as a reader types them."""
-    monkeypatch.chdir(own_folder)
-    names = {}
-    for number, block in enumerate(_blocks("python"), start=1):
-        exec(compile(block, f"README.md, block {number}", "exec"), names)
 
 
 @pytest.mark.full

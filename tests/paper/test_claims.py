@@ -359,6 +359,27 @@ def test_the_page_opens_with_what_holds_where_and_puts_calibration_apart(tmp_pat
     assert not table["C2", "duo_bimorph_paper"]["reason"]  # found on the other actuator
 
 
+def test_the_page_has_the_order_of_the_paper(tmp_path):
+    """Section 5.3 stood between Figs. 5 and 6, with a small letter."""
+    drive = {"kind": "sine", "amplitude_v": 10.0, "frequency_hz": 50.0}
+    content = {"question": "?", "actuator": "duo_bimorph_static", "drive": drive}
+    places = ("section 6: b", "Fig. 10", "", "section 5.3: a", "Fig. 7, and section 5.3")
+    reports = [
+        run(content | ({"assessment": {"kind": "paper", "figure": place}} if place else {}), f"one{k}")
+        for k, place in enumerate(places)
+    ]
+    write_page(reports, tmp_path, tmp_path / "page")
+    heads = [line for line in (tmp_path / "page/README.md").read_text().splitlines() if line[:3] == "## "]
+    ordered = [
+        "Fig. 7, and section 5.3",
+        "Fig. 10",
+        "Section 5.3: a",
+        "Section 6: b",
+        "Beyond the paper: `one2`",
+    ]
+    assert heads == [f"## {head}" for head in ordered]
+
+
 def test_every_figure_of_the_paper_quotes_its_sentence_and_every_column_runs_the_same_law():
     claims = [c for a in ASSESSMENTS for c in a.claims]
     assert len(claims) > 35

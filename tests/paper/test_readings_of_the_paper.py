@@ -62,6 +62,21 @@ def test_the_packaged_reading_meets_as_many_claims_as_any_other_of_the_printed_l
     assert packaged["met"] == max((line["met"] for line in printed), key=int)
 
 
+def test_the_pages_say_how_close_the_literal_reading_comes_to_the_circle() -> None:
+    literal = [
+        v for v in csv.DictReader(SCAN.read_text(encoding="utf-8").splitlines()) if v["bandwidth"] == "-3 dB"
+    ]
+    closest = min(float(line["C8"]) for line in literal if line["C8"])
+    once = min(float(line["C8"]) for line in literal if line["C8"] and line["passes"] == "1")
+    for page, words in (
+        (SCAN.parent / "README.md", "with one pass a sample within {:.2g} um. "),
+        (REPORTS / "paper/README.md", "and within {:.2g} um if the law makes one pass per sample"),
+    ):
+        text = " ".join(page.read_text(encoding="utf-8").split())
+        assert f"within {closest:.2g} um on each axis at best, " in text
+        assert words.format(once) in text
+
+
 def test_the_readings_page_names_ties() -> None:
     text = (SCAN.parent / "README.md").read_text(encoding="utf-8")
     lines = list(csv.DictReader(SCAN.read_text(encoding="utf-8").splitlines()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
@@ -64,7 +65,9 @@ def test_compensators_that_meet_nowhere_leave_no_cell_empty(alone: bool) -> None
     asked = _content(SINE) | {"sweep": {"frequency_hz": [50.0, 100.0]}, "compensators": found}
     (table,) = [one.table for one in sentences(run(asked)) if one.table]
     assert all(map(all, table))
-    assert table[0] == (("[um]", "direct", "cross-coupling") if alone else ("[um]", "50 Hz", "100 Hz"))
+    assert table[0] == (
+        ("[um]", "direct", "cross-coupling") if alone else ("direct / cross-coupling [um]", "50 Hz", "100 Hz")
+    )
     assert {row[0] for row in table[1:]} == (
         {"50 Hz, at 50", "100 Hz, at 100"} if alone else {"at 50", "at 100"}
     )
@@ -95,6 +98,19 @@ def test_claims_have_a_section_of_their_own_below_the_examples(reports: list[Rep
     assert "claim" not in examples.partition("<main")[2].replace("claims met", "claim")
     assert "circle, 20\xa0um, 50\xa0Hz" in examples
     assert 'class="bad"' not in page
+    told = re.search(r"<p>Not met or undecided; each report gives the cause:(.*?)</p>", page, re.S)[1]
+    links = re.findall(r'<a href="(claim\d+)/report.html">\1</a> \(C\)', told)
+    assert links == [f"claim{i}" for i in range(20)]
+    assert "reports/paper/readings/README.md" in paper
+
+
+def test_a_card_without_errors_tells_the_loops(tmp_path: Path) -> None:
+    drive = {"kind": "sine", "amplitude_v": 10, "frequency_hz": 50}
+    asked = {"question": "?", "actuator": "duo_bimorph_static", "drive": drive}
+    report = run(asked | {"sweep": {"frequency_hz": [20, 50]}}, "loops")
+    write_overview([report], tmp_path)
+    page = (tmp_path / "index.html").read_text(encoding="utf-8").replace("\xa0", " ")
+    assert "<p>Loops, sine, 10 V, 20 to 50 Hz: <em>x</em> 117 um high, " in page
 
 
 def test_the_next_command_after_a_fit_without_validation_can_be_pasted(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from browser import Page, browser, program
 from hammerstein.commands.cli import main
 from hammerstein.escaping import Markdown
 from hammerstein.model import HammersteinModel
+from hammerstein.regression.compare import Finding, Kind
 from hammerstein.regression.result import CheckResult, ScenarioCheck
 from hammerstein.reporting import page as page_module
 from hammerstein.reporting.check_page import check_page
@@ -249,6 +250,16 @@ def test_courses_tell_how_far_a_number_moved_in_units_of_what_is_allowed() -> No
     assert x.excess == 0.0
 
 
+def test_a_number_of_all_axes_is_one_course() -> None:
+    """The distance was drawn for x and for y: two of three courses showed the same."""
+    keys = [(("compensator", law), ("measured_axis", axis)) for law in ("a", "b") for axis in "xy"]
+    accepted = {key: {"euclidean_max_um": 2.0, "max_um": 1.0} for key in keys}
+    now = {key: {"euclidean_max_um": 2.1, "max_um": 1.0 + n} for n, key in enumerate(keys)}
+    labels = [course.label for course in courses_of("euclidean_max_um", accepted, now, {})]
+    assert labels == ["a", "b"]
+    assert len(courses_of("max_um", accepted, now, {})) == 4
+
+
 def test_numbers_that_nothing_was_swept_for_are_dots_beside_each_other() -> None:
     keys = [(("compensator", "exact"), ("measured_axis", axis)) for axis in "xy"]
     accepted = {key: {"rms_true_um": 1e-3} for key in keys}
@@ -272,8 +283,11 @@ def test_numbers_that_nothing_was_swept_for_are_dots_beside_each_other() -> None
 
 def test_a_check_without_a_common_row_has_a_page() -> None:
     rows = [{(("amplitude_um", size), ("measured_axis", "x")): {"rms_um": 2.0}} for size in (20.0, 21.0)]
-    check = ScenarioCheck("circle", Path("circle.toml"), 1, accepted=rows[0], now=rows[1])
-    assert "<figure" not in check_page(CheckResult((check,)))
+    findings = (Finding(Kind.MISSING_ROW, *rows[0]), Finding(Kind.EXTRA_ROW, *rows[1]))
+    check = ScenarioCheck("circle", Path("circle.toml"), 1, findings, accepted=rows[0], now=rows[1])
+    page = check_page(CheckResult((check,)))
+    assert "<figure" not in page
+    assert "There is no figure: this run has no number of the baseline." in page
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from hammerstein.experiment.report import (
     Trace,
     banded_metric,
     identified_at,
+    operators_of,
     told_apart,
 )
 from hammerstein.metrics import Row
@@ -37,7 +38,7 @@ from hammerstein.signals import OnAxes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_CURVES = 6  # loops in one panel
+MOST_CURVES = 4  # loops, or errors over the cycle, in one panel
 MOST_OVERLAYS = 4  # models drawn over a loop
 MOST_PHASES = 2000  # samples of a mean cycle
 SWEPT_WORDS = {
@@ -288,11 +289,9 @@ def _grid(report: Report, points: int, found: Iterable[tuple[Row, int, float | N
 
 def _operators(report: Report) -> dict[str, Figure]:
     """Error against the number of operators, if the models differ in it."""
-    models = {
-        model.label: getattr(model.identification, "operators", None) for model in report.scenario.models
-    }
-    numbers = sorted({number for number in models.values() if number is not None})
-    if len(numbers) <= MOST_LOOPS or len(numbers) < len(models):
+    models = operators_of(report)
+    numbers = sorted(models.values())
+    if len(numbers) <= MOST_LOOPS:
         return {}
     curves = []
     runs = by_key(report.rows, lambda row: (row.frequency_hz, row.amplitude_v))

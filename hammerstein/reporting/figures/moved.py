@@ -77,23 +77,28 @@ class SweptNumber(NamedTuple):
 def courses_of(
     metric: str, accepted: Numbers, now: Numbers, tolerances: Mapping[str, Tolerance]
 ) -> list[SweptNumber]:
-    """Courses of a number that both sides have, the one that moved most first."""
+    """Courses of a number that both sides have, the one that moved most first.
+
+    A number of all axes together, such as a distance, stands in the rows of each: it is one course.
+    """
     both = [key for key in accepted if metric in accepted[key] and metric in now.get(key, {})]
     swept = next((name for name in SWEPT if len({dict(key).get(name) for key in both}) > 1), None)
     groups = by_key(both, lambda key: tuple(item for item in key if item[0] != swept))
     tolerance = tolerance_of(metric, all_tolerances(tolerances))
     same = set.intersection(*map(set, groups)) if len(groups) > 1 else set()
-    found = []
+    found: dict[object, SweptNumber] = {}
     for rest, keys in groups.items():
         x = [float(dict(key).get(swept, 0.0)) if swept else float(n) for n, key in enumerate(keys, start=1)]
         order = np.argsort(x, kind="stable")
         values = [(accepted[keys[i]][metric], now[keys[i]][metric]) for i in order]
         moved = [deviation(metric, after, before) for before, after in values]
         allowed = [limit(before, tolerance) for before, _ in values]
-        label, x_label = _words([item for item in rest if item not in same]), SWEPT[swept] if swept else ""
+        told = [item for item in rest if item[0] != "measured_axis"]
+        course = (*told, *values)
+        label = _words([item for item in (told if course in found else rest) if item not in same])
         each = (np.array(x)[order], *np.array(values, float).T, np.array(moved), np.array(allowed))
-        found.append(SweptNumber(label, x_label, *each))
-    return sorted(found, key=lambda course: -course.excess)
+        found[course] = SweptNumber(label, SWEPT[swept] if swept else "", *each)
+    return sorted(found.values(), key=lambda course: -course.excess)
 
 
 def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:

@@ -31,10 +31,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_CURVES = 4
-"""Of a panel; more are drawn in several rows of panels, each with the curves of the others in grey behind."""
+"""Of a panel; more are drawn in several rows of panels, which share their axes."""
 ALONE, IN_ROWS = 0.7, 0.5
 """Height of a panel in parts of its width: lower in several rows, so that a page still shows all of them."""
-BEHIND = {"color": "#cccccc", "linewidth": 0.8, "zorder": 0.5}
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
 """Two bands that lie over each other stay apart."""
@@ -106,11 +105,8 @@ def sweep_figure(
         panels = cells[:, : rows * columns].reshape(len(groups), rows, columns)
         entries: dict[str, Artist] = {}
         for (group, o, k), axes in np.ndenumerate(panels):
-            for number, curve in enumerate(curves):
-                if number in groups[group]:
-                    entries[plain(curve.label)] = _draw(axes, curve, o, k, number)
-                else:
-                    axes.plot(curve.x, curve.values[o, k], **BEHIND)
+            for number in groups[group]:
+                entries[plain(curves[number].label)] = _draw(axes, curves[number], o, k, number)
         entries = {label: entries[label] for curve in curves if (label := plain(curve.label)) in entries}
         _scale(panels, curves)
         for own, row in zip(groups, panels, strict=True):

@@ -170,7 +170,8 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
     exist = sum(map(bool, table.values()))
     tied = [r for r in order if counted(table[r]) == counted(table[order[0]])]
     most_once = max(counted(table[r]) for r in table if r.bandwidth and r.passes == 1)
-    closest = min(f["C8"][0] for r, f in table.items() if r.bandwidth == "-3 dB" and "C8" in f)
+    literal = [(f["C8"][0], r.passes) for r, f in table.items() if r.bandwidth == "-3 dB" and "C8" in f]
+    closest, once = min(literal)[0], min(value for value, passes in literal if passes == 1)
     lines = [
         "# Readings of the paper",
         "",
@@ -189,7 +190,8 @@ def page(table: dict[Reading, dict[str, tuple[float, bool]]], order: list[Readin
         *[f"* {reading.words()}" for reading in tied],
         "",
         f"With dynamics and one pass a sample, as the paper's law is printed, the most is {most_once}. "
-        f"No damping of the literal -3 dB reading follows the 50 um circle within {closest:.2g} um an axis. "
+        "Whatever its damping, the literal -3 dB reading follows the 50 um circle within "
+        f"{closest:.2g} um on each axis at best, with one pass a sample within {once:.2g} um. "
         f"Under no reading at all hold: {', '.join(none) or 'none is left'}. "
         f"Under no reading with dynamics hold: {', '.join(dynamic) or 'none is left'}.",
         "",
