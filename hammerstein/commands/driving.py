@@ -171,9 +171,10 @@ class Reached:
 
     def refuse_with_period(self) -> None:
         """Raise InputError for options that a period does not use, because it writes a run-up of its own."""
-        if self.lead_in or self.approach_side is not None:
-            options = "--lead-in, --approach-side"
-            raise InputError(options, "are for a path, not for a period (--cycle, --table, --learn)")
+        given = {"--lead-in": self.lead_in, "--approach-side": self.approach_side is not None}
+        if any(given.values()):
+            options = ", ".join(option for option, is_given in given.items() if is_given)
+            raise InputError(options, "not with --cycle, --table or --learn; these write a run-up")
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:
@@ -512,4 +513,10 @@ def _write_period(
         tell_json({"drive": str(out), "run_up": str(run_up), **figures, "statements": said})
         return
     tell_statements(said)
-    tell(f"run-up in {run_up}, {'one' if taught is None else 'next'} period in {out}")
+    if taught is None:
+        period_word = "one period"
+    elif taught.finished:
+        period_word = f"{'previous' if taught.worse else 'same'} period again"
+    else:
+        period_word = "next period"
+    tell(f"run-up in {run_up}, {period_word} in {out}")

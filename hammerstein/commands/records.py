@@ -165,7 +165,10 @@ class RecordFiles:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()
             if not (asked and typer.confirm(f"{doubt}. Is this right?", err=True)):
-                source = records[0].source if len(records) == 1 else f"{len(records)} records"
+                source = f"{len(records)} records"
+                if len(records) == 1:
+                    source = records[0].source
+                    doubt = doubt.replace(f" of {source}", "")  # it is named before the message
                 remedy = "check --inputs, --outputs and their scales, or accept the gain with --accept-gain"
                 raise InputError(source, f"{doubt}; {remedy}")
         return gains
@@ -176,15 +179,15 @@ def _columns(words: str | None) -> list[str] | None:
 
 
 @dataclass(frozen=True)
-class HeldBack:
-    """Records that are judged and not fitted."""
+class Validation:
+    """Validation records."""
 
     validate: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Validation record; may be repeated.")
     ] = None
 
     def read(self, recorded: RecordFiles) -> tuple[Record, ...]:
-        """Records of its files, read as the others are."""
+        """Read the validation records with the settings of the fitted ones."""
         return recorded.read(self.validate, all_driven=False) if self.validate else ()
 
     def refuse_fitted(self, files: Sequence[Path]) -> None:
@@ -386,7 +389,7 @@ def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
 @grouped
 def identify(
     recorded: RecordFiles,
-    held: HeldBack,
+    held: Validation,
     identified: Identified,
     static: StaticBlock,
     in_loop: InLoop,
@@ -459,7 +462,7 @@ def _identified(
 @grouped
 def compare(
     recorded: RecordFiles,
-    held: HeldBack,
+    held: Validation,
     identified: Identified,
     in_loop: InLoop,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")] = Path("compare"),

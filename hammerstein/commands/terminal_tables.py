@@ -34,10 +34,10 @@ RUN = (
     "sensor\nmax um",
     "clipped",
 )
-HELD = "valid-\nation"
+VALIDATION = "valid-\nation"
 COMPARED = (
-    *("", "model", "param-\neters", "fitted", "cross-\nvalid.", HELD, "in-\nverse"),
-    *("drive\nerror", "fit\ns", "step\nns"),
+    *("", "model", "param-\neters", "fitted", "cross-\nvalid.", VALIDATION, "in-\nverse"),
+    *("compen-\nsator\nerror", "fit\ns", "step\nns"),
 )
 RECOMMENDED, AS_GOOD = "*", "="
 _LEFT = 3  # the first columns hold words
@@ -142,9 +142,10 @@ def fit_table(fit: Fit) -> Table:
 
 def comparison_table(found: Comparison) -> Table:
     """One line a model, simplest first; the recommended one is marked."""
+    from hammerstein.comparison.result import PLANT
     from hammerstein.reporting.compare_page import figures
 
-    columns = [name for name in COMPARED if found.held or name != HELD]
+    columns = [name for name in COMPARED if found.validation or name != VALIDATION]
     title = f"errors in % of the range; {RECOMMENDED} recommended, {AS_GOOD} as good"
     table = _table(f"Models compared: {title}", columns)
     for entry in found.entries:
@@ -153,12 +154,15 @@ def comparison_table(found: Comparison) -> Table:
         told = {name: cell for name, cell in figures(entry).items() if name != "as good"}
         times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
         table.add_row(marked, entry.name, *told.values(), *times)
+    if any(entry.left.words == PLANT for entry in found.entries):
+        table.caption = f"{PLANT}: for the compensator errors, this model replaces the actuator"
+        table.caption_justify = "left"
     return _narrow(table)
 
 
 def rates_table(found: Comparison) -> Table:
     """One line a model: its error at the frequency of each record."""
-    where = "validation" if found.held else "fitted"
+    where = "validation" if found.validation else "fitted"
     rates = [f"{hz:g} Hz" for hz in found.frequencies_hz]
     table = _table(f"Errors on records {where}, in % of their range", ("", "model", *rates))
     for entry in found.entries:

@@ -19,7 +19,7 @@ ALWAYS = ("compare.html", "compare.json", "compare.md")
 CAPTION = (
     "One line for each model, with its number of parameters in brackets. (a): errors on the validation "
     "records (filled) and on the fitted ones (hollow; filled if there are no others), one symbol for each "
-    "frequency. (b): error of its compensator; the model with the lowest cross-validation error replaces "
+    "frequency. (b): compensator error; the model with the lowest cross-validation error replaces "
     "the actuator."
 )
 
@@ -78,7 +78,7 @@ def _body(found: Comparison) -> Markdown:
 
 def figures(entry: Compared) -> dict[str, str]:
     """Figures of a model by their heads; no times: two comparisons of the same records make the same page."""
-    held = {"validation [%]": f"{entry.held.mean_percent:.3g}"} if entry.held else {}
+    held = {"validation [%]": f"{entry.validation.mean_percent:.3g}"} if entry.validation else {}
     return {
         "parameters": str(entry.parameters),
         "fitted [%]": f"{entry.fitted.mean_percent:.3g}",

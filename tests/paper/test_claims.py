@@ -167,7 +167,10 @@ def test_the_cause_is_the_only_change_that_brings_agreement():
 def test_a_cause_brings_agreement_with_every_seed_and_sample_time():
     sometimes = ("passes", "with 16 passes", 1.1, 2.5, 1.4)
     one = _told(sometimes, ("dynamics", "without dynamics", 1.5, 1.61))
-    assert (one.cause, one.reason) == ("the dynamics", "The claim is met without dynamics: the value is 1.5 to 1.6.")
+    assert (one.cause, one.reason) == (
+        "the dynamics",
+        "The claim is met without dynamics: the value is 1.5 to 1.6.",
+    )
     assert one.details == "With 16 passes 1.1 to 2.5; without dynamics 1.5 to 1.6"
     assert _told(sometimes).reason == "No change of one or two factors brings agreement."
 

@@ -313,12 +313,12 @@ def compared_figure(found: Comparison) -> Figure:
     with drawing(1.5 + 0.34 * max(5, len(names))) as figure:
         panels = figure.subplots(1, 2)
         fitted = [entry.fitted_at for entry in found.entries]
-        entries = _draw_errors(panels[0], fitted, "fitted", hollow=bool(found.held))
-        if found.held:
-            held = [entry.held_at for entry in found.entries]
+        entries = _draw_errors(panels[0], fitted, "fitted", hollow=bool(found.validation))
+        if found.validation:
+            held = [entry.validation_at for entry in found.entries]
             entries |= _draw_errors(panels[0], held, "validation", hollow=False)
         _draw_left(panels[1], [entry.left for entry in found.entries])
-        quantities = ("rms error [% of range]", "error of its compensator [%]")
+        quantities = ("rms error [% of range]", "compensator error [%]")
         for number, (axes, label) in enumerate(zip(panels, quantities, strict=True)):
             letter(axes, number)
             axes.set(xscale="log", xlabel=label)
