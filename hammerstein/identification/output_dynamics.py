@@ -1,4 +1,4 @@
-"""Lag, resonance, creep and delay behind hysteresis of any kind, found together with its weights.
+"""Lag, resonance, creep and delay behind hysteresis of any kind, estimated together with its weights.
 
 Every kind is linear in its weights. Its response to each weight alone is a column; once they have passed the
 axis, the weights are linear unknowns as slopes of plays are, and the search is that of ``axis_steps``.
@@ -41,7 +41,7 @@ from hammerstein.identification.static.regressors import Regressors
 from hammerstein.identification.task import Task
 
 MOST_CREEP = 3
-"""Slow modes of an axis that ``auto`` may come to."""
+"""Largest number of slow modes of an axis with ``auto``."""
 TOLD = 1e-9
 """Power of a combination of columns, in parts of the largest, from which the records tell it."""
 REFINED = 2

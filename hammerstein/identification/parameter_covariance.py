@@ -1,4 +1,4 @@
-"""One joint covariance of all parameters of a model: thresholds, axes, and the weights that follow them.
+"""Joint covariance of all parameters of a model: thresholds, axes, and the dependent weights.
 
 Linearised about the model, the readings of output o are
 
@@ -124,7 +124,7 @@ COUNTED = 50_000
 RELATED, RELATED_RAD = 16, 0.5
 """Samples over which what a model misses hangs together at most, and angle of the fastest motion."""
 DRAWS = 8
-"""Draws by which the error of the model itself is made as large as the records show."""
+"""Number of draws to scale the model error to that in the records."""
 HIDDEN = 2
 """Columns of an input, a threshold and a breakpoint, that can be missing: each is worth just too little."""
 TOLD = 1e-9

@@ -58,7 +58,7 @@ class Assessment(Strict, ABC):
     number_names: ClassVar[tuple[str, ...]] = ()
     """Names of the numbers of its judgements, for which a scenario may give tolerances."""
     reading_first: ClassVar[bool] = False
-    """Whether errors of the sensor's reading are said before those of the true position."""
+    """Whether errors of the sensor's reading are stated before those of the true position."""
 
     @property
     def runs(self) -> int:
@@ -112,7 +112,7 @@ class Assessment(Strict, ABC):
 
     @classmethod
     def shipped(cls) -> Mapping[str, Path]:
-        """Scenarios that it brings, and numbers accepted for them: from names in a new folder to files."""
+        """Scenarios and their accepted numbers that it provides: from names in a new folder to files."""
         return {}
 
     @classmethod
@@ -135,11 +135,11 @@ class Assessment(Strict, ABC):
 
 
 ASSESSMENTS: Family[Assessment] = Family(Assessment, "kind")  # type: ignore[type-abstract]
-"""Kinds of assessment; the package's own is that of the paper, and plugs in like those of others."""
+"""Kinds of assessment; that of the paper is a plug-in, too."""
 
 
 DEFAULT = "default"
-"""Stands for every number that is not named."""
+"""Name for all numbers that are not named."""
 
 
 def _known(name: str) -> str:

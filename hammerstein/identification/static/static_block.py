@@ -73,7 +73,7 @@ class StaticFit:
 
 
 class SlopeColumns(NamedTuple):
-    """Where the slopes of each pair stand among the columns of one output.
+    """Positions of the slopes of each pair among the columns of one output.
 
     ``merge[o]`` (column, slope) sums the columns of the merged threshold grids into those of the pairs;
     ``parts[o][k]`` are the slopes of the pair of input k.

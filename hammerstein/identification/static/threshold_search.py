@@ -1,4 +1,4 @@
-"""Thresholds near the best ones, by Levenberg-Marquardt steps with the weights projected out.
+"""Search for thresholds by Levenberg-Marquardt steps with the weights projected out.
 
 Once the thresholds r are fixed, the weights w of each output follow by linear least squares. So only the
 thresholds are searched (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432). Each
@@ -72,7 +72,7 @@ class ThresholdTask:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The search at one place: the error there, and the problem linearised about it.
+    """State of a search: its error, and the linearised problem.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Linearised:
 
     @property
     def criterion(self) -> float:
-        """Logarithm of the cost, and the price of the thresholds: the less, the better."""
+        """Logarithm of the cost plus the price of the thresholds; smaller is better."""
         return math.log(max(self.cost, np.finfo(float).tiny)) + self.price * sum(map(len, self.grids))
 
     def step(self, damping: float, reach_v: Array) -> Grids:
@@ -134,7 +134,7 @@ def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Li
 def search_near(
     task: ThresholdTask, grids: Grids, unit: Array | None = None, below: float = math.inf
 ) -> Linearised:
-    """Levenberg-Marquardt steps from given thresholds until nothing is gained; never worse than there.
+    """Levenberg-Marquardt steps from given thresholds until they converge; never worse than the start.
 
     below : criterion that is wanted; a search ends where its steps gain too little to come there
     """
@@ -275,7 +275,7 @@ def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
 
 
 def gained(start: StaticFit, fitted: StaticFit) -> bool:
-    """Whether fitted thresholds lower the error by more than their number would by chance.
+    """Whether fitted thresholds lower the error by more than chance.
 
     The initial thresholds are not free parameters; their weights are.
 
@@ -288,7 +288,7 @@ def gained(start: StaticFit, fitted: StaticFit) -> bool:
 
 
 def criterion(fit: StaticFit, parameters: int) -> float:
-    """Criterion of Schwarz (Ann. Stat. 6 (1978) 461-464): the less, the better.
+    """Schwarz criterion (Ann. Stat. 6 (1978) 461-464); smaller is better.
 
     Parameters
     ----------
