@@ -1,4 +1,4 @@
-"""Commands that start from measured records, and the groups of their options."""
+"""Commands on measured records, and their groups of options."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from hammerstein.records.record import Record
 
 MOST_NAMED = 3
-"""Records whose names make up that of a folder."""
+"""Most records in the name of a folder."""
 MOST_LOOPS = 8
-"""Of each pair and record, in the table."""
+"""Most loops of each pair and record in the table."""
 
 
 AcceptOrder = Annotated[
@@ -145,7 +145,7 @@ class RecordFiles:
             )
 
     def gains(self, records: Sequence[Record]) -> list[Gain]:
-        """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
+        """Gains of the records; implausible ones need confirmation, or raise InputError in a script."""
         from hammerstein.records import gains as found
 
         if self.rate is None:
@@ -238,7 +238,7 @@ class InLoop:
             raise InputError("--hysteresis-in-loop", f"does not use {', '.join(unused)}; remove it")
 
     def settings(self, identified: Identified, **static: Any) -> tuple[Settings, LoopSettings | None]:
-        """The settings of cascades, and those of its search; None where it is not asked for."""
+        """Settings of cascades, and those of its search; None if not requested."""
         from hammerstein.identification.in_loop.identify import LoopSettings
 
         if not self.hysteresis_in_loop:
@@ -252,7 +252,7 @@ class InLoop:
 
 @dataclass(frozen=True)
 class Identified:
-    """How a model is identified; every name is that of a field of the settings."""
+    """Options of the identification, named like the fields of the settings."""
 
     operators: Annotated[str, typer.Option(help="Thresholds of each pair; auto: by cross-validation.")] = (
         "auto"
@@ -297,7 +297,7 @@ class Identified:
     accept_order: AcceptOrder = False
 
     def settings(self, **more: Any) -> Settings:
-        """The settings, with what one command alone asks for."""
+        """Settings, with additional ones of a single command."""
         from hammerstein.identification.settings import settings_of
 
         asked = asdict(self) | more
@@ -308,7 +308,7 @@ class Identified:
 
 
 def folder_name(files: Sequence[Path]) -> str:
-    """Name of the folder of several records: no other set of records has it."""
+    """Unique name of the folder of several records."""
     from hammerstein.reporting.figures.loops import file_labels
 
     labels = file_labels([str(file) for file in files])
@@ -433,7 +433,7 @@ def identify(
 
 
 def search_files(model: Path) -> tuple[Path, Path]:
-    """Where a search for hysteresis in the loop keeps its progress and its best model until it ends."""
+    """Files for progress and best model of a search for hysteresis in the loop, until it ends."""
     return model.with_name(f"{model.stem}.search.json"), model.with_name(f"{model.stem}.partial.json")
 
 

@@ -58,7 +58,7 @@ LINES = 160
 BANDS = 120
 """Parts of a noisy trace of many samples, of each of which the lowest and highest sample are drawn."""
 LEAST = 1e-12
-"""Keeps logarithms of what is zero on the axes."""
+"""Smallest value on logarithmic axes, in place of zero."""
 MEASURED, SEPARATED = "measured", "measured, minus the predicted response to the other inputs"
 UNFITTED = "thresholds not fitted"
 COHERENT = 0.5
@@ -294,11 +294,11 @@ def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) 
 
 MARKERS = "osD^vPX"
 NAME_LETTERS = 24
-"""Of a line of a model's name beside a panel."""
+"""Most letters per line of a model's name beside a panel."""
 REASON_LETTERS = 34
-"""Of a reason beside a row; the table has longer ones."""
+"""Most letters of a reason beside a row; the table has longer ones."""
 LEAST_PERCENT = 1e-9
-"""Percent that stand for none on a logarithmic axis."""
+"""Percentage in place of zero on a logarithmic axis."""
 
 
 def compared_figure(found: Comparison) -> Figure:
