@@ -171,10 +171,10 @@ class Reached:
 
     def refuse_with_period(self) -> None:
         """Raise InputError for options that a period does not use, because it has a run-up."""
-        given = {"--lead-in": self.lead_in, "--approach-side": self.approach_side is not None}
-        if any(given.values()):
-            options = ", ".join(option for option, is_given in given.items() if is_given)
-            raise InputError(options, "not with --cycle, --table or --learn; these write a run-up")
+        given = ["--lead-in"] * self.lead_in + ["--approach-side"] * (self.approach_side is not None)
+        if given:
+            what = "not with --cycle, --table or --learn; these write a run-up"
+            raise InputError(", ".join(given), what)
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:
@@ -513,10 +513,5 @@ def _write_period(
         tell_json({"drive": str(out), "run_up": str(run_up), **figures, "statements": said})
         return
     tell_statements(said)
-    if taught is None:
-        period_word = "one period"
-    elif taught.finished:
-        period_word = f"{'previous' if taught.worse else 'same'} period again"
-    else:
-        period_word = "next period"
-    tell(f"run-up in {run_up}, {period_word} in {out}")
+    word = "one" if taught is None else "previous" if taught.worse else "same" if taught.finished else "next"
+    tell(f"run-up in {run_up}, {word} period{' again' * (word in ('previous', 'same'))} in {out}")

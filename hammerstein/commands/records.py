@@ -165,10 +165,8 @@ class RecordFiles:
             doubt = "; ".join(doubts)
             asked = sys.stdin.isatty() and sys.stderr.isatty()
             if not (asked and typer.confirm(f"{doubt}. Is this right?", err=True)):
-                source = f"{len(records)} records"
-                if len(records) == 1:
-                    source = records[0].source
-                    doubt = doubt.replace(f" of {source}", "")  # it is named before the message
+                source = records[0].source if len(records) == 1 else f"{len(records)} records"
+                doubt = doubt.replace(f" of {source}", "")  # the message begins with it
                 remedy = "check --inputs, --outputs and their scales, or accept the gain with --accept-gain"
                 raise InputError(source, f"{doubt}; {remedy}")
         return gains

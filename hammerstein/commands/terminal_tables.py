@@ -47,7 +47,7 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Iterable[str]] = (
     from rich import box
     from rich.table import Table
 
-    table = Table(title=title, box=box.SIMPLE, title_justify="left")
+    table = Table(title=title, box=box.SIMPLE, title_justify="left", caption_justify="left")
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i < _LEFT else "right", overflow="fold")
     for row in rows:
@@ -142,7 +142,6 @@ def fit_table(fit: Fit) -> Table:
 
 def comparison_table(found: Comparison) -> Table:
     """One line per model, simplest first; the recommended one is marked."""
-    from hammerstein.comparison.result import PLANT
     from hammerstein.reporting.compare_page import figures
 
     columns = [name for name in COMPARED if found.validation or name != VALIDATION]
@@ -154,9 +153,8 @@ def comparison_table(found: Comparison) -> Table:
         told = {name: cell for name, cell in figures(entry).items() if name != "as good"}
         times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
         table.add_row(marked, entry.name, *told.values(), *times)
-    if any(entry.left.words == PLANT for entry in found.entries):
-        table.caption = f"{PLANT}: for the compensator errors, this model replaces the actuator"
-        table.caption_justify = "left"
+    if any(entry.left.words == "plant" for entry in found.entries):
+        table.caption = "plant: for the compensator errors, this model replaces the actuator"
     return _narrow(table)
 
 

@@ -33,10 +33,7 @@ IN_LOOP_RULE = (
 )
 
 MUCH_LEFT = 3.0
-"""Ratio of compensator error to prediction error from which a warning is given: both errors, and that of the
-model that replaces the actuator."""
-PLANT = "plant"
-"""Cell of the model that replaces the actuator."""
+"""Ratio of compensator error to prediction error that gives a warning; the first has two model errors."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class Left:
     def words(self) -> str:
         """The error for a table; ``plant`` for the model that replaces the actuator, else ``none``."""
         if self.percent is None:
-            return PLANT if self.law and not self.on else "none"
+            return "plant" if self.law and not self.on else "none"
         return f"{self.percent:.3g}"
 
 
@@ -150,10 +147,8 @@ class Compared:
         own = ("name", "hysteresis", "dynamics", "parameters", "as_good", "has_inverse", "inverse")
         plain: dict[str, Any] = {name: getattr(self, name) for name in own}
         plain["folds_percent"] = finite(self.folds_percent)
-        for name, score, at in (
-            ("fitted", self.fitted, self.fitted_at),
-            ("held", self.validation, self.validation_at),  # its name in compare.json
-        ):
+        judged = {"fitted": (self.fitted, self.fitted_at), "held": (self.validation, self.validation_at)}
+        for name, (score, at) in judged.items():
             plain[name] = None if score is None else _plain(score)
             plain[f"{name}_at"] = [{"frequency_hz": f, **_plain(one)} for f, one in at.items()]
         return plain | {"left": asdict(self.left), "flags": list(self.flags)}

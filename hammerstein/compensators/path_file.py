@@ -190,10 +190,11 @@ def _resampled(times: Array, sample_time_s: float) -> str:
     typical = float(np.median(steps))
     gaps = np.flatnonzero(steps > GAP * typical)
     if not 0 < gaps.size <= GAPS * steps.size:
-        corners = " If this makes corners, smooth them with --filter-hz." if sample_time_s < typical else ""
         return (
             f"The path was interpolated linearly from steps of {interval(typical)} to the sample time of the "
-            f"drive, {interval(sample_time_s)}.{corners}"
+            f"drive, {interval(sample_time_s)}."
+            + " If this makes corners, smooth them with --filter-hz."
+            * (sample_time_s < typical)
         )
     worst, many = int(np.argmax(steps)), "a gap" if gaps.size == 1 else f"{gaps.size} gaps, the longest"
     return (

@@ -45,13 +45,12 @@ MOST_CREEP = 3
 TOLD = 1e-9
 """Power of a combination of columns, in parts of the largest, from which the records tell it."""
 REFINED = 2
-"""Of the places of a coarse grid, those from which a resonance is refined."""
+"""Number of points of a coarse grid from which a resonance is refined."""
 SEARCHED = 1e-3
-"""Gain of a step, in parts of the error, under which a search has arrived: what it decides is two percent."""
+"""Gain of a step, in parts of the error, below which a search has converged; decisions need two percent."""
 FEW, MANY = 7, 39
-"""Combinations of columns, those of the largest power, beside the response of the block as it was found: with
-which a search begins, and with which it decides: with it a number of fours, which go side by side. The last
-fit has them all."""
+"""Combinations of columns of largest power, in addition to the response of the block, at the start of a
+search and for its decision; plus 1, multiples of 4 for the compiled loop. The last fit uses all columns."""
 
 
 class OutputDynamics(NamedTuple):

@@ -27,11 +27,9 @@ LEAST_PART = 5e-4
 STILL_DRIFTS = 0.25
 """Trend of the residual, in parts of the observed drift, from which it is drift and not creep."""
 STILL_HUMP = 0.5
-"""Part of a hump that must be left for a reading to be clipped: a resonance can swing on while a voltage is
-constant, and a model that has it predicts the hump."""
+"""Residual part of a hump from which the reading is clipped; a model with resonance predicts ringing."""
 MOST_DRIFT = 0.1
-"""Drift of an output, in parts of its range, up to which a model is fit for use: evenly spread it adds 0.29
-of itself to the rms error, which is stated."""
+"""Largest drift of an output for a usable model, in parts of its range; 0.29 of it is in the rms error."""
 UNREPRESENTED_PERCENT = 10.0  # error of an output, of its range, from which the model is no picture of it
 SATURATING_PERCENT = 2.0  # of the range
 SATURATING_RATIO = 3.0
@@ -42,10 +40,9 @@ BUTTERFLY = 0.5
 """Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
 TIP = 0.05  # part of the range about an end of the swing
 RETURNED, WHOLE_SWING = 0.05, 0.5
-"""Part of its range by which an output returns while the voltage goes on, from which a loop turns back on
-itself; swing, in parts of the largest, of which it is asked."""
+"""Return of an output, in parts of its range, during a monotonic voltage; smallest tested relative swing."""
 OTHER_STATE = 5.0
-"""Distance of the states in which two records begin, in parts of the error of the model, that is no error."""
+"""Distance of the initial states of two records, in parts of the model error, from which they differ."""
 OF_A_CREEPING_MODEL = (
     ". The model has creep, but some creep remains in the prediction error, perhaps because of the "
     "kind of model: hammerstein compare tries the others"
