@@ -371,7 +371,7 @@ def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
 
 
 def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
-    """Range of the drive: that of the records, or the one that is asked for.
+    """Range of the drive: that of the records, or the requested one.
 
     Raises InputError for a range or a start that does not fit the model.
     """

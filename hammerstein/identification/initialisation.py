@@ -50,7 +50,7 @@ from hammerstein.records.record import Record
 DELAY_OPERATORS = 15
 """Number of operators for the estimate of the delay before their number is chosen."""
 DEFAULT_OPERATORS, MOST_FITTED = 15, 20
-"""Operators where no number is asked for nor tried, and the most of an input whose thresholds are fitted."""
+"""Default number of operators, and the largest number of an input with fitted thresholds."""
 STEPPED_BEFORE = 0.2  # part of a record that a step lies before it, where the search begins
 CREEP_ROUNDS = 6  # in which starts and a slow mode are found in turn
 FIRST_OPERATORS = 20  # of the model that tells how records begin

@@ -46,7 +46,7 @@ CLOSE = (
     "standard error of it"
 )
 NO_BETTER = f"better by at most {100.0 * FELT:.0f} % or one standard error"
-"""The same in words: rms error of a simpler model that is kept, and what is said of the larger one."""
+"""Texts: condition on the rms error of a simpler model, and statement on the larger one."""
 
 
 def lowers(rms: float, before: float, part: float = FELT) -> bool:

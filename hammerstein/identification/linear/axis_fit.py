@@ -33,7 +33,7 @@ UNSURE_LAG_PERCENT = 30.0  # the same of a low-pass
 APART = 2.0
 """Ratio of the time constants of two slow modes from which they are two."""
 SURE_CREEP = 3.0
-"""Standard errors that the gain of a creep mode must have, if it was not asked for."""
+"""Significance, in standard errors, that the gain of a creep mode needs unless it is requested."""
 CREEP_OPERATORS = 6  # few: creep is slower than any loop
 FEW = 40
 """Columns with which a fit begins where more are kept: those of the largest power, which come last."""
@@ -44,7 +44,7 @@ NEAR = 1.15
 SETTLED_CYCLES = 4.0
 """Cycles of a record from which its spectrum has lines."""
 EXCITED = 2.0
-"""Amplitude near a resonance, in parts of what the model leaves there, from which it counts as excited."""
+"""Amplitude near a resonance, relative to the residual there, from which it counts as excited."""
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,7 @@ COUNTED_SAMPLES = 15_000
 """Samples that are counted in the sums of a search; more than so many are thinned out evenly."""
 SEARCH_BEGINS = 3  # best places from which a search starts
 TRIED, FAR = 4, 1.5
-"""Steps after which a search is given up that leaves so many times as much as the best one."""
+"""Steps after which a search is abandoned if its error exceeds this multiple of the best one."""
 SAME_DAMPING, SAME_ERROR = 0.2, 1e-3
 """Logarithm of a ratio of dampings, and part of the error, within which two searches are at one place."""
 PEAK_DAMPING = 0.03  # of a peak that the residual shows

@@ -31,7 +31,7 @@ from hammerstein.records.record import Record
 SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
 MIXED = 3
-"""Columns of an input beside that of its slopes."""
+"""Columns of an input in addition to that of its slopes."""
 LARGEST_CREEP = 1.0
 """Largest gain of a slow mode, in parts of the fast displacement, on whose way it goes."""
 STEP = 1e-6

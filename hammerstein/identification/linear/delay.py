@@ -26,7 +26,7 @@ TINY = 1e-300
 
 S = TypeVar("S")
 Attempt = Callable[[float, S], tuple[Sequence[float], S]]
-"""Rms of what is left of each output with a delay, and what was found, from what one near by has found."""
+"""Function from a delay, and the fit of one nearby, to the residual rms of each output and the fit."""
 
 
 def delay_in_samples(delay_s: float, sample_time_s: float) -> float:

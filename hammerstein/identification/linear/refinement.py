@@ -154,7 +154,7 @@ CONDITION = 1e6
 """Condition of the eigenvectors above which A is not taken apart: nearly equal poles share their states."""
 
 ROUNDING = 1e-30
-"""Part of the whole sum of squares below which nothing but rounding is left."""
+"""Part of the total sum of squares that is only rounding."""
 
 DAMPING = Damping(less=0.2, more=4.0, least=1e-10, most=1e10)
 

@@ -24,7 +24,7 @@ CLOSED_UM = 0.02
 KEPT_SHARE = 0.5
 """Part of a record that must remain for the rest to be spent on forgetting."""
 CAUTION = 0.25
-"""Part of the remaining record that is left out as well until the dynamics are known."""
+"""Part of the remaining record that is also excluded until the dynamics are known."""
 FASTER = 1.2
 """Ratio of the power of a motion's differences from which one part of a record counts as faster."""
 SAME_SWING = 1e-3

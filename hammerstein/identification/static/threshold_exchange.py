@@ -91,7 +91,7 @@ def exchanged(
 
 
 def losses(moments: Sequence[Moments], grids: Sequence[Array], unit: Array) -> Array:
-    """Squared error (threshold,) in its unit that comes back with each play that leaves all others in place.
+    """Increase of the squared error (threshold,) if one play is removed and all others are kept.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ MOST_STEPS = 60  # a search that has not arrived is given up
 ENOUGH, ARRIVED_AFTER = 1e-4, 2
 """Relative gain of a step that counts as none, and how many such steps in a row end the search."""
 HOPELESS = 10.0
-"""Times the gain of its last step that a search may be away from what is wanted."""
+"""Distance from the target, in gains of its last step, beyond which a search is abandoned."""
 DAMPING = Damping(least=1e-12, most=1e3)
 ROUNDING = 1e-15
 """Part of an output's power under which its squared errors are rounding."""
@@ -185,7 +185,7 @@ MOST_ROUNDS = 6
 MOST_TRIED = 4
 """Thresholds that are tried to leave, the cheapest first."""
 STEEPEST = 5.0
-"""Slope, in parts of the largest mean slope of its output, beyond which its threshold is left out."""
+"""Slope, in parts of the largest mean slope of its output, above which its threshold is removed."""
 WORTHWHILE = 1e-3
 """What a round must gain of the criterion, about the part of the squared error that it takes away."""
 
