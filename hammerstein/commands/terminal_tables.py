@@ -37,7 +37,7 @@ RUN = (
 VALIDATION = "valid-\nation"
 COMPARED = (
     *("", "model", "param-\neters", "fitted", "cross-\nvalid.", VALIDATION, "in-\nverse"),
-    *("compen-\nsator\nerror", "fit\ns", "step\nns"),
+    *("comp.\nerror", "fit\ns", "step\nns"),
 )
 RECOMMENDED, AS_GOOD = "*", "="
 _LEFT = 3  # the first columns hold words
@@ -153,8 +153,7 @@ def comparison_table(found: Comparison) -> Table:
         told = {name: cell for name, cell in figures(entry).items() if name != "as good"}
         times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
         table.add_row(marked, entry.name, *told.values(), *times)
-    if any(entry.left.words == "plant" for entry in found.entries):
-        table.caption = "plant: for the compensator errors, this model replaces the actuator"
+    table.caption = "comp. error: compensator error; plant: the model that replaces the actuator"
     return _narrow(table)
 
 
