@@ -1,4 +1,4 @@
-"""As python-control has them: any block that moves sample by sample, and signals over time."""
+"""Conversion to python-control: blocks that run sample by sample, and signals over time."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -46,7 +46,7 @@ class Packing:
         return len(self._origin)
 
     def pack(self, data: dict[str, Any]) -> Array:
-        """Vector (length,) of some data, zero for that of the start."""
+        """Vector (length,) of data; zero for the initial data."""
         return np.asarray(self.numbers(data) - self._origin)
 
     def unpack(self, vector: Array) -> dict[str, Any]:
@@ -61,7 +61,7 @@ class Packing:
         return np.concatenate([np.zeros(0), *pieces])
 
     def data(self, numbers: Array) -> dict[str, Any]:
-        """Data of some numbers (length,); arrays stand for lists."""
+        """Data from numbers (length,); lists become arrays."""
         pieces = np.split(numbers, np.cumsum(self._sizes))
         found: dict[str, Any] = _filled(self._like, iter(pieces))
         return found
@@ -103,7 +103,7 @@ def _filled(like: Any, pieces: Iterator[Array]) -> Any:
 
 
 REMEMBERED = 4
-"""Steps kept: python-control asks for each sample's output several times, then for the state after it."""
+"""Number of cached steps: python-control requests each output several times, then the next state."""
 
 
 class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control has no types
@@ -160,7 +160,7 @@ class BlockSystem(control.NonlinearIOSystem):  # type: ignore[misc]  # control h
         return self._packing.pack(_saved(state))
 
     def state_of(self, vector: ArrayLike) -> Any:
-        """State of the block that a vector stands for."""
+        """State of the block from its vector."""
         return self._restore(self._packing.unpack(np.asarray(vector, dtype=np.float64)))
 
 
@@ -170,7 +170,7 @@ def _saved(state: Any) -> dict[str, Any]:
 
 
 def signals(wire: str, count: int) -> list[str]:
-    """Names of the signals of one wire, which python-control finds again by the name of the wire.
+    """Names of the signals of one wire, which python-control selects by the name of the wire.
 
     >>> signals("requested_v", 2)
     ['requested_v[0]', 'requested_v[1]']

@@ -22,7 +22,7 @@ from hammerstein.errors import InputError
 
 
 class Recorded(Protocol):
-    """A model that knows the voltages of its records."""
+    """Model with the voltages of its records."""
 
     @property
     def recorded(self) -> Voltages:
@@ -74,7 +74,7 @@ class DriveRange:
     def of(
         cls, given: RangeLike, model: Recorded, start_v: ArrayLike | None = None, conditioned: bool = False
     ) -> DriveRange:
-        """Range for a model from N (for -N to N), (low, high), or one such an input [V].
+        """Range for a model from N (for -N to N), (low, high), or one of these per input [V].
 
         start_v : (m,) voltage at which the actuator stands; the working point if not given
         """
@@ -91,7 +91,7 @@ class DriveRange:
 
     @property
     def span_v(self) -> Array:
-        """From the lowest to the highest voltage (m,) [V]."""
+        """Span of the range (m,) [V]."""
         return np.asarray(self.high_v - self.low_v)
 
     @property
@@ -108,7 +108,7 @@ class DriveRange:
         return np.stack([rest, start] if start.any() else [rest], axis=1)
 
     def absolute(self, counted_v: Array) -> Array:
-        """Voltages (m, N) as they are sent, from those relative to the working point."""
+        """Absolute voltages (m, N) from those relative to the working point."""
         if not self.working_point_v.any():
             return counted_v
         sent = counted_v + self.working_point_v[:, None]
@@ -121,12 +121,12 @@ class DriveRange:
 
     @cached_property
     def ends(self) -> Array:
-        """Voltages (2, m) from which on a voltage stands at the lowest or the highest end [V]."""
+        """Voltages (2, m) from which a voltage counts as at the lowest or highest end [V]."""
         limits = np.stack([self.low_v, self.high_v])
         return np.asarray(limits + np.array([[1.0], [-1.0]]) * slack_v(limits))
 
     def words(self, inputs: Sequence[str]) -> str:
-        """Say the range of each input."""
+        """State the range of each input."""
         ends = [f"{low:.6g} to {high:.6g} V" for low, high in zip(self.low_v, self.high_v, strict=True)]
         if len(set(ends)) == 1:
             return ends[0]
@@ -134,4 +134,4 @@ class DriveRange:
 
 
 RangeLike = DriveRange | ArrayLike
-"""A range, or what ``DriveRange.of`` makes one of."""
+"""A range, or an argument of ``DriveRange.of``."""

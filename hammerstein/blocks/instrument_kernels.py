@@ -1,4 +1,4 @@
-"""Compiled time loops of drive and sensor: one pass over memory for what would be a dozen."""
+"""Compiled time loops of drive and sensor: one pass over memory instead of a dozen."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from hammerstein.compiled import at, compiled
 
 @compiled(inline="always")
 def converted(value, low, high, step):  # type: ignore[no-untyped-def]
-    """Clip to a range and round to a step, as a converter does; what is not a number stays that."""
+    """Clip to a range and round to a step, as a converter does; NaN stays NaN."""
     held = value
     if held < low:
         held = low
@@ -51,7 +51,7 @@ def leaving(asked, rest, ends, left):  # type: ignore[no-untyped-def]
 
 @compiled()
 def outside(wire, first, stop, low, high):  # type: ignore[no-untyped-def]
-    """How many values of a wire (axis, N) are not between two bounds, from sample first up to stop."""
+    """Number of values of a wire (axis, N) outside two bounds, from sample first up to stop."""
     found = 0
     for k in range(wire.shape[0]):
         for t in range(first, stop):

@@ -1,4 +1,4 @@
-"""Drive and sensor, between the computer and the actuator."""
+"""Drive and sensor of a set-up."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from hammerstein.validation import WithInfinity
 Interval = tuple[End, End]
 
 ALLOWED = 1e-9
-"""Part of the range by which a voltage may pass it before it counts as cut."""
+"""Excess over the range, in parts of it, from which a voltage counts as clipped."""
 
 
 def intervals(given: Any) -> Interval | tuple[Interval, ...]:
-    """Lowest and highest voltage from what a file holds: N (for -N to N), [low, high], or one such an input.
+    """Lowest and highest voltage from a file: N (for -N to N), [low, high], or one of these per input.
 
     Raises ValueError for anything else.
 
@@ -57,13 +57,13 @@ RangeV = Annotated[
 
 
 def slack_v(limits: Array) -> Array:
-    """How far voltages (m,) may pass the limits (2, m) and count as within them [V]."""
+    """Excess of voltages (m,) over the limits (2, m) that still counts as within them [V]."""
     ends = np.abs(limits)
     return np.asarray(ALLOWED * np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0))
 
 
 NOISE_BLOCK = 4096
-"""Samples whose noise is drawn at once; it stays in the processor's cache."""
+"""Samples of noise drawn at a time, so that they fit the cache."""
 
 
 class Drive(WithInfinity):
@@ -142,7 +142,7 @@ class Sensor(WithInfinity):
         return reading
 
     def read_in_place(self, um: Array, generator: np.random.Generator, first: int, stop: int) -> None:
-        """Turn such positions (output, sample) into their readings, from one sample up to another."""
+        """Replace such positions (output, sample) by their readings, for a range of samples."""
         from hammerstein.blocks.instrument_kernels import digitise
 
         drawn = np.zeros((um.shape[0], NOISE_BLOCK))
@@ -153,7 +153,7 @@ class Sensor(WithInfinity):
             digitise(here, self.noise_um, self.range_um, self.resolution_um, begin, um)
 
     def clipped(self, reading_um: Array) -> int:
-        """Samples of the readings (output, sample) at which the range clipped one of them, or may have."""
+        """Samples of the readings (output, sample) that the range clipped, or may have clipped."""
         if math.isinf(self.range_um):
             return 0
         step = self.resolution_um
@@ -165,7 +165,7 @@ class Sensor(WithInfinity):
 
 
 def standard_noise(generator: np.random.Generator, outputs: int, samples: int) -> Array:
-    """Standard normal numbers (output, sample), drawn sample by sample: a run in pieces draws the same."""
+    """Standard normal numbers (output, sample), drawn sample by sample, so that pieces equal the whole."""
     return np.ascontiguousarray(generator.standard_normal((samples, outputs)).T)
 
 
@@ -177,14 +177,14 @@ class Instruments(WithInfinity):
 
     @classmethod
     def ideal(cls, sample_time_s: float = 50e-6) -> Instruments:
-        """Instruments without any effect but the hold."""
+        """Ideal instruments: only the hold remains."""
         return cls(
             drive=Drive(range_v=(-math.inf, math.inf), resolution_v=0.0, sample_time_s=sample_time_s),
             sensor=Sensor(range_um=math.inf, resolution_um=0.0, bandwidth_hz=math.inf, noise_um=0.0),
         )
 
     def reaching(self, recorded: Voltages) -> Instruments:
-        """Return the same with a drive that reaches what was recorded, if no range of it is stated."""
+        """Return the same with a drive that covers the recorded voltages, if it has no range."""
         low, high = np.array(recorded.lowest_v), np.array(recorded.highest_v)
         limits = self.drive.limits(len(low))
         if "range_v" in self.drive.model_fields_set or ((low >= limits[0]) & (high <= limits[1])).all():

@@ -1,4 +1,4 @@
-"""Interfaces of compensators: laws from a reference in um to a drive in V, and a law that runs in a loop."""
+"""Interfaces of compensators: laws from a reference in um to a drive in V, and streaming laws."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Memory:
         return {name: _plain(getattr(self, name)) for name in self._names()}
 
     def restored(self, data: dict[str, Any]) -> Self:
-        """Memory of the same shape as this one, from the result of its ``as_dict``; InputError if a part is
+        """Memory of the same shape as this one, from the result of ``as_dict``; InputError if a part is
         missing.
         """
         missing = [name for name in self._names() if name not in data]
@@ -105,10 +105,10 @@ class WithMemory(Designed, Generic[S]):
 
     @abstractmethod
     def rest(self) -> S:
-        """State of one that was never used: actuator at its start, reference at zero."""
+        """Initial state: actuator at its start, reference at zero."""
 
     def restore(self, data: dict[str, Any]) -> S:
-        """State from what its ``as_dict`` gave."""
+        """State from the result of ``as_dict``."""
         return self.rest().restored(data)
 
 
@@ -129,10 +129,10 @@ class Law(WithMemory[S]):
     preview_samples: int = 0
     sample_time_s: float | None = None  # the grid it was designed for; None: any
     leaves: ClassVar[float] = 0.0
-    """Part of a path by which periods of a drive for it may differ."""
+    """Allowed difference of periods of a drive, in parts of the path."""
 
     def softens(self, reference_um: Array) -> bool:
-        """Whether a path (p, N) begins where the law does not follow it, but by a way of its own."""
+        """Whether the law replaces the beginning of a path (p, N) by a soft start."""
         return False
 
     @property
@@ -142,7 +142,7 @@ class Law(WithMemory[S]):
 
     @property
     def delay_samples(self) -> int:
-        """Samples by which the position comes late."""
+        """Delay of the position in samples."""
         return 0
 
     @abstractmethod
@@ -201,7 +201,7 @@ class Law(WithMemory[S]):
         return None
 
     def primed(self, reference_um: ArrayLike) -> tuple[S, Array]:
-        """State of the law when the drive for the first sample of a reference (p, N) known ahead is due.
+        """State of the law at the drive of the first sample of a reference (p, N) known in advance.
 
         Returns
         -------
@@ -216,7 +216,7 @@ class Law(WithMemory[S]):
         return self.respond(whole[:, :ahead])[1], whole[:, ahead:]
 
     def drive_for(self, reference_um: ArrayLike) -> Array:
-        """Drive (m, N) aligned with a reference (p, N) that is known ahead; its last value is held."""
+        """Drive (m, N) aligned with a reference (p, N) known in advance; its last value is held."""
         start, coming = self.primed(reference_um)
         return self.respond(coming, start)[0]
 
@@ -244,11 +244,11 @@ class Controller(WithMemory[S]):
 
     @abstractmethod
     def path_and_feedforward(self, reference_um: ArrayLike) -> tuple[Array, Array]:
-        """Path (p, N) that the readings are compared with, and feedforward (m, N), for a whole reference."""
+        """Path (p, N) to compare readings with, and feedforward (m, N), for a whole reference."""
 
     @abstractmethod
     def request(self, state: S, feedforward_v: ArrayLike | None = None) -> tuple[Array, S]:
-        """Voltages (m,) for this sample, beside a feedforward (m,)."""
+        """Voltages (m,) for this sample, added to a feedforward (m,)."""
 
     @abstractmethod
     def correct(self, reference_um: ArrayLike, reading_um: ArrayLike, state: S) -> S:
@@ -275,7 +275,7 @@ class Learner(Designed):
         reading_um: Array,
         before: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Period (m, N) of the next trial; the very one of the trial before where learning ends with that.
+        """Period (m, N) of the next trial; the previous one, unchanged, if learning ends with it.
 
         Parameters
         ----------
@@ -306,7 +306,7 @@ def require_square(n_inputs: int, n_outputs: int, law: str) -> None:
 
 
 def require_grid(designed_s: float | None, sample_time_s: float, what: str) -> None:
-    """Raise InputError where a block designed for one sample time is asked to run on another."""
+    """Raise InputError if a block runs on another sample time than its design."""
     if not (math.isfinite(sample_time_s) and sample_time_s > 0.0):
         raise InputError("sample_time_s", f"is {sample_time_s:g}; it must be above 0")
     if designed_s is not None and not math.isclose(designed_s, sample_time_s, rel_tol=1e-9):

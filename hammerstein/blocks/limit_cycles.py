@@ -83,7 +83,7 @@ STEP = 1e-5
 
 
 class HysteresisNonlinearity(control.DescribingFunctionNonlinearity):  # type: ignore[misc]  # no types
-    """A scalar hysteresis with its describing function, as python-control wants it.
+    """Scalar hysteresis with its describing function, for python-control.
 
     Called with one voltage it moves on by one sample, from rest.
 

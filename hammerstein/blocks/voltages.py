@@ -13,13 +13,13 @@ from hammerstein.quantities import Figure, Offset
 from hammerstein.validation import Strict
 
 ONE_SIDED = 0.25
-"""Part of the larger side up to which the smaller one does not make a record two-sided."""
+"""Smaller side of 0 V, in parts of the larger one, up to which a record is one-sided."""
 
 Poling = Literal["positive", "negative", "both"]
 
 
 class Voltages(Strict):
-    """Voltages of the records behind a model, absolute, one an input.
+    """Absolute voltages of the records of a model, one per input.
 
     The plays rest at the working point; the position there, at rest, is zero.
     """
@@ -64,7 +64,7 @@ class Voltages(Strict):
 
     @classmethod
     def symmetric(cls, amplitude_v: float, inputs: int) -> Voltages:
-        """About 0 V, as for a model file that does not say."""
+        """Symmetric about 0 V, the default of a model file."""
         ends = np.full(inputs, amplitude_v)
         return cls.of(np.zeros(inputs), -ends, ends)
 
@@ -73,7 +73,7 @@ class Voltages(Strict):
         return [k for k, sign in enumerate(self.poling) if sign != "both"]
 
     def statement(self, inputs: Sequence[str]) -> str:
-        """Say the recorded range and the working point of each input."""
+        """State the recorded range and the working point of each input."""
         past = " after both ends" * self.conditioned
         ends = zip(inputs, self.lowest_v, self.highest_v, self.working_point_v, strict=True)
         return "; ".join(

@@ -57,9 +57,9 @@ app = typer.Typer(
 
 COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
 USAGE: Any = typer.BadParameter.__base__
-"""What a command line that is no command line raises; Typer has it from click, or has click inside."""
+"""Errors of a wrong command line; Typer takes them from click, or has click inside."""
 PRINTED = ("schema", "actuators", "show", "guide")
-"""Commands that are asked for what they print, however quiet they are to be."""
+"""Commands whose purpose is their output, even with --quiet."""
 
 
 def _say_version(wanted: bool) -> None:

@@ -1,4 +1,4 @@
-"""What a file holds, whatever it is of ours: known by its content, not by its name."""
+"""Description of any file of this program, recognised by its content."""
 
 import json
 from collections.abc import Iterator, Sequence

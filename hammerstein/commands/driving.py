@@ -1,4 +1,4 @@
-"""Commands on a model: voltages that follow a path or erase the past, what they move, and its code.
+"""Commands on a model: drives for a path, degaussing, simulation, and code export.
 
 Before them stand the groups of their options: of a law, and of its drive.
 """
@@ -42,7 +42,7 @@ RangeWords = Annotated[
 
 @dataclass(frozen=True)
 class LawWords:
-    """Options of a law; each is taken by those laws that have it."""
+    """Options of laws."""
 
     filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None
     preview_s: Annotated[float | None, typer.Option(metavar="S", help="How far ahead the path is known.")] = (
@@ -58,7 +58,7 @@ class LawWords:
     ] = None
 
     def options(self) -> dict[str, Any]:
-        """Those that were given, by their names in a scenario.
+        """Given options, by their names in a scenario.
 
         Raises InputError for a gain that no word stands for, and for an option without a key or given twice.
         """
@@ -76,7 +76,7 @@ class LawWords:
 
     @property
     def own(self) -> frozenset[str]:
-        """Keys that ``--option`` gave."""
+        """Keys from ``--option``."""
         return frozenset(words.partition("=")[0] for words in self.option or ())
 
 
@@ -130,7 +130,7 @@ class Sent:
 
 @dataclass(frozen=True)
 class Reached:
-    """What is done with a path that the drive does not reach as it is."""
+    """Options for a path that is out of reach."""
 
     lead_in: Annotated[
         bool,
@@ -153,7 +153,7 @@ class Reached:
     ] = False
 
     def terms(self, sent: Sent) -> Terms:
-        """All that is allowed of a drive."""
+        """Limits of a drive."""
         from hammerstein.compensators.drive_file import Terms
 
         return Terms(
@@ -170,14 +170,15 @@ class Reached:
         )
 
     def refuse_with_period(self) -> None:
-        """Raise InputError for options that a period does not use, because it writes a run-up of its own."""
-        if self.lead_in or self.approach_side is not None:
-            options = "--lead-in, --approach-side"
-            raise InputError(options, "are for a path, not for a period (--cycle, --table, --learn)")
+        """Raise InputError for options that a period does not use, because it has a run-up."""
+        given = ["--lead-in"] * self.lead_in + ["--approach-side"] * (self.approach_side is not None)
+        if given:
+            what = "not with --cycle, --table or --learn; these write a run-up"
+            raise InputError(", ".join(given), what)
 
 
 def volts(option: str, words: str | None) -> tuple[float, ...] | None:
-    """Voltages from an option, with commas between them.
+    """Comma-separated voltages of an option.
 
     Raises InputError for words that are none.
 
@@ -194,7 +195,7 @@ def volts(option: str, words: str | None) -> tuple[float, ...] | None:
 
 @dataclass(frozen=True)
 class TableRequest:
-    """What a person asks of a wave table; no device: the period as a drive file."""
+    """Options of a wave table; without a device, the period becomes a drive file."""
 
     table: Annotated[
         str | None, typer.Option(metavar="pi|nv200|csv", help="Write this period as a wave table.")
@@ -229,14 +230,14 @@ class TableRequest:
         return factors[0], factors[1] if len(factors) == 2 else 0.0
 
     def owner(self) -> Owner:
-        """Who writes the file."""
+        """Owner of the file."""
         from hammerstein.compensators.drive_file import DRIVE
         from hammerstein.compensators.wave_table import WAVE_TABLE
 
         return DRIVE if self.table is None else WAVE_TABLE
 
     def form(self, found: Cycle) -> tuple[list[str], list[float], str]:
-        """What must be known of a period, its errors [um], and the text of its file."""
+        """Statements on a period, its errors [um], and the text of its file."""
         from hammerstein.compensators.wave_table import wave_table
         from hammerstein.metrics import rms
 
@@ -248,7 +249,7 @@ class TableRequest:
 
 @dataclass(frozen=True)
 class Trials:
-    """The trial that is learnt from, the one before it, and how sure the model is."""
+    """Files of the trial and the previous one, and uncertainty of the model."""
 
     learn: Annotated[
         tuple[Path, Path] | None,
@@ -272,14 +273,14 @@ class Trials:
     ] = None
 
     def refuse_lone(self) -> None:
-        """Raise InputError for what belongs to a trial, where there is none."""
+        """Raise InputError for options of a trial without a trial."""
         if self.uncertainty is not None and self.learn is None:
             raise InputError("--uncertainty", "applies to --learn; give --learn DRIVE MEASURED too")
         if self.before is not None and self.learn is None:
             raise InputError("--before", "is the trial before --learn; give --learn DRIVE MEASURED too")
 
     def period(self, asked: Asked, terms: Terms, onlooker: Onlooker) -> tuple[Cycle, IlcUpdate | None]:
-        """Period of a path, and what was learnt for it from the trial, if there is one."""
+        """Period of a path, and its update from the trial, if there is one."""
         from hammerstein.compensators.cycle import cycle_of
 
         if self.learn is None:
@@ -499,7 +500,7 @@ def _write_period(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write a period of a path and its run-up, and say what was learnt from the trial, if there was one."""
+    """Write a period of a path and its run-up, and state the result of the trial, if there was one."""
     from hammerstein.compensators.drive_file import DRIVE
 
     (out, run_up), (said, errors, text) = files, wanted.form(period)
@@ -512,4 +513,5 @@ def _write_period(
         tell_json({"drive": str(out), "run_up": str(run_up), **figures, "statements": said})
         return
     tell_statements(said)
-    tell(f"run-up in {run_up}, {'one' if taught is None else 'next'} period in {out}")
+    word = "one" if taught is None else "previous" if taught.worse else "same" if taught.finished else "next"
+    tell(f"run-up in {run_up}, {word} period{' again' * (word in ('previous', 'same'))} in {out}")

@@ -1,4 +1,4 @@
-"""Who does the work of a command: threads and processes of this machine, or a cluster."""
+"""Workers of a command: threads and processes of this machine, or a cluster."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PROCESSORS = processors()
 Yes = Annotated[bool, typer.Option("--yes", help="Start runs of more than ten minutes, too.")]
 
 WORTH_PROCESSES_S = 4.0
-"""Time of many short runs, as planned, from which they are worth the start of processes."""
+"""Planned time of many short runs from which processes are worthwhile."""
 
 
 @contextmanager
@@ -46,7 +46,7 @@ def workers(jobs: int, cluster: str | None) -> Iterator[parallel_tasks.Jobs]:
 
 
 def process_pool(jobs: parallel_tasks.Jobs, seconds: float) -> AbstractContextManager[parallel_tasks.Jobs]:
-    """Return processes for many short runs that take so long together on one processor, as planned.
+    """Return processes for many short runs with this planned total time on one processor.
 
     Threads of one process share Python's interpreter, but begin at once.
     """

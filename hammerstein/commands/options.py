@@ -1,4 +1,4 @@
-"""Options that several commands have, and what commands refuse in the words of their options."""
+"""Options of several commands, and errors in terms of these options."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing f
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 
 _ALONE = ("start", "range", "axes")
-"""Options whose own values make a message of their own."""
+"""Options with messages of their own."""
 _OPTIONS = {
     "sample_time_s": "sample-time",
     "range_v": "range",
@@ -36,7 +36,7 @@ _OPTIONS = {
 
 
 def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) -> None:
-    """Refuse an output that cannot be written, is somebody's file, or one of the files that are read."""
+    """Refuse an output that cannot be written, belongs to somebody, or is one of the inputs."""
     from hammerstein.runtime.staging import prepare_file
 
     if any(path.resolve() == out.resolve() for path in inputs):
@@ -45,7 +45,7 @@ def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) 
 
 
 def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bool) -> None:
-    """Write one file; say where the one went that a person had changed."""
+    """Write one file; state the new place of a file that a person had changed."""
     from hammerstein.runtime.staging import write_file
 
     tell_kept(write_file(out, content, owner, overwrite))
@@ -53,7 +53,7 @@ def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bo
 
 @contextmanager
 def told_by_options(source: str, own: Collection[str] = ()) -> Iterator[None]:
-    """Make the mistakes in arguments of a function name the command's options.
+    """Name the command's options in errors about arguments of a function.
 
     own : keys that were given as ``--option KEY=VALUE``
     """
@@ -77,7 +77,7 @@ def _option_of(where: str, own: Collection[str]) -> str:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command an option for each field of its parameters that are dataclasses.
+    """Return a command with an option for each field of its dataclass parameters.
 
     >>> from dataclasses import dataclass
     >>> @dataclass
@@ -111,7 +111,7 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def words_of(group: Any) -> list[str]:
-    """Words of a command line that give a group as it is: arguments, and options that are not their defaults.
+    """Command line of a group: arguments, and options that differ from their defaults.
 
     >>> from hammerstein.commands.records import RecordFiles
     >>> words_of(RecordFiles(["a.csv", "b.csv"], rate=5e3, accept_gain=True))

@@ -1,4 +1,4 @@
-"""Voltages of a file, played on a model."""
+"""Simulation of the voltages of a file."""
 
 import re
 import warnings
@@ -21,11 +21,11 @@ from hammerstein.signals.signal_files import chosen, read_signal
 PLAYED = Owner("play", single=True)
 MADE_FOR = "# Model "  # how a drive file of ours begins the line on its model
 EVENLY = 1e-3
-"""Part of a sample time by which the time of a row may be off."""
+"""Allowed deviation of the time of a row, in parts of a sample time."""
 
 
 class Played(NamedTuple):
-    """What a model does with voltages.
+    """Response of a model to voltages.
 
     source : name of the model; time_s : (sample,) as in the file; with_sensor : whether it was read
     """
@@ -75,7 +75,7 @@ def played(
     onlooker: Onlooker = UNWATCHED,
     conditioned: bool | None = None,
 ) -> Played:
-    """Play the voltages of a file on a model that stands at its working point.
+    """Simulate the voltages of a file from the working point of a model.
 
     Parameters
     ----------

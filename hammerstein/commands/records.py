@@ -1,4 +1,4 @@
-"""Commands that start from measured records, and the groups of their options."""
+"""Commands on measured records, and their groups of options."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from hammerstein.records.record import Record
 
 MOST_NAMED = 3
-"""Records whose names make up that of a folder."""
+"""Most records in the name of a folder."""
 MOST_LOOPS = 8
-"""Of each pair and record, in the table."""
+"""Most loops of each pair and record in the table."""
 
 
 AcceptOrder = Annotated[
@@ -145,7 +145,7 @@ class RecordFiles:
             )
 
     def gains(self, records: Sequence[Record]) -> list[Gain]:
-        """Gains of the records; a person is asked about those that no actuator has, a script is refused."""
+        """Gains of the records; implausible ones need confirmation, or raise InputError in a script."""
         from hammerstein.records import gains as found
 
         if self.rate is None:
@@ -166,6 +166,7 @@ class RecordFiles:
             asked = sys.stdin.isatty() and sys.stderr.isatty()
             if not (asked and typer.confirm(f"{doubt}. Is this right?", err=True)):
                 source = records[0].source if len(records) == 1 else f"{len(records)} records"
+                doubt = doubt.replace(f" of {source}", "")  # the message begins with it
                 remedy = "check --inputs, --outputs and their scales, or accept the gain with --accept-gain"
                 raise InputError(source, f"{doubt}; {remedy}")
         return gains
@@ -176,15 +177,15 @@ def _columns(words: str | None) -> list[str] | None:
 
 
 @dataclass(frozen=True)
-class HeldBack:
-    """Records that are judged and not fitted."""
+class Validation:
+    """Validation records."""
 
     validate: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Validation record; may be repeated.")
     ] = None
 
     def read(self, recorded: RecordFiles) -> tuple[Record, ...]:
-        """Records of its files, read as the others are."""
+        """Read the validation records with the settings of the fitted ones."""
         return recorded.read(self.validate, all_driven=False) if self.validate else ()
 
     def refuse_fitted(self, files: Sequence[Path]) -> None:
@@ -235,7 +236,7 @@ class InLoop:
             raise InputError("--hysteresis-in-loop", f"does not use {', '.join(unused)}; remove it")
 
     def settings(self, identified: Identified, **static: Any) -> tuple[Settings, LoopSettings | None]:
-        """The settings of cascades, and those of its search; None where it is not asked for."""
+        """Settings of cascades, and those of its search; None if not requested."""
         from hammerstein.identification.in_loop.identify import LoopSettings
 
         if not self.hysteresis_in_loop:
@@ -249,7 +250,7 @@ class InLoop:
 
 @dataclass(frozen=True)
 class Identified:
-    """How a model is identified; every name is that of a field of the settings."""
+    """Options of the identification, named like the fields of the settings."""
 
     operators: Annotated[str, typer.Option(help="Thresholds of each pair; auto: by cross-validation.")] = (
         "auto"
@@ -294,7 +295,7 @@ class Identified:
     accept_order: AcceptOrder = False
 
     def settings(self, **more: Any) -> Settings:
-        """The settings, with what one command alone asks for."""
+        """Settings, with additional ones of a single command."""
         from hammerstein.identification.settings import settings_of
 
         asked = asdict(self) | more
@@ -305,7 +306,7 @@ class Identified:
 
 
 def folder_name(files: Sequence[Path]) -> str:
-    """Name of the folder of several records: no other set of records has it."""
+    """Unique name of the folder of several records."""
     from hammerstein.reporting.figures.loops import file_labels
 
     labels = file_labels([str(file) for file in files])
@@ -386,7 +387,7 @@ def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
 @grouped
 def identify(
     recorded: RecordFiles,
-    held: HeldBack,
+    held: Validation,
     identified: Identified,
     static: StaticBlock,
     in_loop: InLoop,
@@ -430,7 +431,7 @@ def identify(
 
 
 def search_files(model: Path) -> tuple[Path, Path]:
-    """Where a search for hysteresis in the loop keeps its progress and its best model until it ends."""
+    """Files for progress and best model of a search for hysteresis in the loop, until it ends."""
     return model.with_name(f"{model.stem}.search.json"), model.with_name(f"{model.stem}.partial.json")
 
 
@@ -459,7 +460,7 @@ def _identified(
 @grouped
 def compare(
     recorded: RecordFiles,
-    held: HeldBack,
+    held: Validation,
     identified: Identified,
     in_loop: InLoop,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")] = Path("compare"),

@@ -1,4 +1,4 @@
-"""Commands for a person who begins: a working folder, what a file holds, the guide."""
+"""Commands for beginners: working folder, content of a file, guide."""
 
 import os
 import shlex
@@ -127,6 +127,6 @@ def guide(
 
 
 def guide_pages() -> dict[str, Path]:
-    """Pages of the guide by name, those that a person begins with first."""
+    """Pages of the guide by name, those for beginners first."""
     found = {path.stem: path for path in sorted(GUIDE.glob("*.md"))}
     return {name: found[name] for name in dict.fromkeys([*FIRST, *found]) if name in found}

@@ -1,4 +1,4 @@
-"""What a person reads on any terminal, where nobody can listen any more, and while a command works."""
+"""Output for any terminal: text, closed pipes, and progress."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from hammerstein.experiment.set_up import Progress
 
 WIDTH_OF_A_FILE = 160
-"""Characters of a line where no terminal says how wide it is: the widest table fits."""
+"""Line width without terminal; the widest table fits."""
 WARNINGS = ("FLAGGED", "Verdict: FLAGGED", "Warning:")
-"""How statements begin that warn."""
+"""Beginnings of warning statements."""
 _hushed = False
 
 
 def hush(wanted: bool) -> None:
-    """Print only mistakes, warnings and JSON; or everything again."""
+    """Switch to only mistakes, warnings and JSON, or back to all output."""
     global _hushed
     _hushed = wanted
 
 
 class OutputError(HammersteinError):
-    """What was to be printed cannot be: the disk behind the terminal is full."""
+    """Output cannot be written, for example because the disk is full."""
 
     exit_code = 2
 
 
 def make_ready() -> None:
-    """Let a character that the terminal lacks be a question mark and no end, and a notice one line."""
+    """Print unsupported characters as question marks, and notices in one line."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -50,19 +50,19 @@ def make_ready() -> None:
 
 
 def tell(text: str) -> None:
-    """Print for a person; OutputError if it cannot be written."""
+    """Print text; OutputError if it cannot be written."""
     if not _hushed:
         _print(clean(text))
 
 
 def tell_statements(texts: Iterable[str]) -> None:
-    """Print what must be known of a result; its warnings on stderr, in any case."""
+    """Print the statements of a result; warnings always go to stderr."""
     for text in texts:
         (complain if text.startswith(WARNINGS) else tell)(text)
 
 
 def tell_json(content: Any, **options: Any) -> None:
-    """Print for a program; OutputError if it cannot be written."""
+    """Print JSON; OutputError if it cannot be written."""
     _print(clean(json.dumps(content, **options)))
 
 
@@ -81,19 +81,19 @@ def _print(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print on stderr; where that cannot be written, nobody can be told."""
+    """Print on stderr; write errors are ignored."""
     with contextlib.suppress(OSError):
         print(clean(text), file=sys.stderr, flush=True)
 
 
 def tell_kept(places: Iterable[Path]) -> None:
-    """Say which files that a person had changed have another name now."""
+    """State the new names of files that a person had changed."""
     for place in places:
         complain(f"{place} is a result that you edited; a copy was kept")
 
 
 def show(table: Table) -> None:
-    """Print a table, as wide as the terminal; wide enough for every column where it is a file."""
+    """Print a table with the width of the terminal; in a file, wide enough for every column."""
     if _hushed:
         return
     from rich.console import Console
@@ -117,7 +117,7 @@ def settle() -> None:
 
 
 def nobody_listens(error: OSError) -> None:
-    """Drop the remaining output; a reader that stops early, such as ``head``, is no mistake."""
+    """Drop the remaining output after a reader, such as ``head``, has closed the pipe."""
     with contextlib.suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
@@ -144,7 +144,7 @@ class _Bar:
 
 
 class Watch(_Bar):
-    """Progress with the remaining time on stderr, when a person watches."""
+    """Progress with the remaining time on stderr, for a terminal."""
 
     def __init__(self, scenarios: int):
         self.scenarios = scenarios
@@ -160,7 +160,7 @@ class Watch(_Bar):
 
     @property
     def progress(self) -> Progress | None:
-        """What a run calls while it works; None when nobody watches."""
+        """Progress callback of a run; None without terminal."""
         return None if self.bar is None else self._within
 
     def _within(self, what: str, done: int, total: int) -> None:
@@ -174,11 +174,11 @@ class Watch(_Bar):
 
 
 EVERY_S = 60.0
-"""How often a file is told what is being done."""
+"""Interval of progress lines in a file [s]."""
 
 
 class Spinner(_Bar):
-    """Progress on stderr: every step when a person watches, one line a minute in a file.
+    """Progress on stderr: every step on a terminal, one line a minute in a file.
 
     first : first message, also in a file, for work that is always long
     """
@@ -198,7 +198,7 @@ class Spinner(_Bar):
         return self
 
     def tell(self, what: str) -> None:
-        """Show what is being done."""
+        """Show the current step."""
         if self.bar is not None:
             self.bar.update(self.task, description=clean(what))
         elif not _hushed and time.monotonic() - self.told_s >= EVERY_S:
@@ -207,7 +207,7 @@ class Spinner(_Bar):
 
 
 TOLD_S = 2.0
-"""Time from which the cost of a path is said before the work."""
+"""Duration from which the cost of a path is stated before the work [s]."""
 
 
 @contextmanager

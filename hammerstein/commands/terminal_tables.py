@@ -34,10 +34,10 @@ RUN = (
     "sensor\nmax um",
     "clipped",
 )
-HELD = "valid-\nation"
+VALIDATION = "valid-\nation"
 COMPARED = (
-    *("", "model", "param-\neters", "fitted", "cross-\nvalid.", HELD, "in-\nverse"),
-    *("drive\nerror", "fit\ns", "step\nns"),
+    *("", "model", "param-\neters", "fitted", "cross-\nvalid.", VALIDATION, "in-\nverse"),
+    *("comp.\nerror", "fit\ns", "step\nns"),
 )
 RECOMMENDED, AS_GOOD = "*", "="
 _LEFT = 3  # the first columns hold words
@@ -47,7 +47,7 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Iterable[str]] = (
     from rich import box
     from rich.table import Table
 
-    table = Table(title=title, box=box.SIMPLE, title_justify="left")
+    table = Table(title=title, box=box.SIMPLE, title_justify="left", caption_justify="left")
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i < _LEFT else "right", overflow="fold")
     for row in rows:
@@ -56,7 +56,7 @@ def _table(title: str, columns: Sequence[str], rows: Iterable[Iterable[str]] = (
 
 
 def result_table(report: Report) -> Table:
-    """One line for each compensator or model: what a person looks at first."""
+    """One line for each compensator or model: the most important errors."""
     title = "Worst error of each scenario: of the true position, and of the sensor's readings"
     table = _table(title, RUN)
     for label, own in by_key(report.rows, lambda row: row.compensator).items():
@@ -90,7 +90,7 @@ def _figures(rows: Sequence[Row]) -> list[str]:
 
 
 def actuator_table(models: Iterable[HammersteinModel]) -> Table:
-    """One line an actuator: size, operators, dynamics."""
+    """One line per actuator: size, operators, dynamics."""
     table = _table("Packaged actuators", ("name", "inputs", "outputs", "operators", "dynamics", "range_v"))
     for model in models:
         operators = sum(sum(row) for row in model.hysteresis.operators)
@@ -103,7 +103,7 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
 
 
 def judgement_table(title: str, judgements: Sequence[Judgement]) -> Table:
-    """One line a judgement."""
+    """One line per judgement."""
     cells = [judgement.cells() for judgement in judgements]
     return _table(title, list(cells[0]), (row.values() for row in cells))
 
@@ -141,10 +141,10 @@ def fit_table(fit: Fit) -> Table:
 
 
 def comparison_table(found: Comparison) -> Table:
-    """One line a model, simplest first; the recommended one is marked."""
+    """One line per model, simplest first; the recommended one is marked."""
     from hammerstein.reporting.compare_page import figures
 
-    columns = [name for name in COMPARED if found.held or name != HELD]
+    columns = [name for name in COMPARED if found.validation or name != VALIDATION]
     title = f"errors in % of the range; {RECOMMENDED} recommended, {AS_GOOD} as good"
     table = _table(f"Models compared: {title}", columns)
     for entry in found.entries:
@@ -153,12 +153,13 @@ def comparison_table(found: Comparison) -> Table:
         told = {name: cell for name, cell in figures(entry).items() if name != "as good"}
         times = (f"{entry.seconds:.2g}", f"{entry.ns_a_sample:.3g}")
         table.add_row(marked, entry.name, *told.values(), *times)
+    table.caption = "comp. error: compensator error; plant: the model that replaces the actuator"
     return _narrow(table)
 
 
 def rates_table(found: Comparison) -> Table:
-    """One line a model: its error at the frequency of each record."""
-    where = "validation" if found.held else "fitted"
+    """One line per model: its error at the frequency of each record."""
+    where = "validation" if found.validation else "fitted"
     rates = [f"{hz:g} Hz" for hz in found.frequencies_hz]
     table = _table(f"Errors on records {where}, in % of their range", ("", "model", *rates))
     for entry in found.entries:
@@ -177,7 +178,7 @@ def _narrow(table: Table, least: int = len("prandtl_ishlinskii")) -> Table:
 
 
 def gains_table(gains: Sequence[Gain]) -> Table:
-    """One line a pair: how far the voltage went, how far the output, and their ratio."""
+    """One line per pair: span of the voltage, span of the output, and their ratio."""
     columns = ("input", "output", "", "span_v", "span_um", "gain_um_per_v")
     numbers = ((f"{n:.4g}" for n in (g.span_v, g.span_um, g.um_per_v)) for g in gains)
     rows = ((g.input, g.output, "", *own) for g, own in zip(gains, numbers, strict=True))
@@ -185,7 +186,7 @@ def gains_table(gains: Sequence[Gain]) -> Table:
 
 
 def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
-    """One line a loop of a measured record, in 80 columns; --json has start and area too."""
+    """One line per loop of a measured record, in 80 columns; --json also has start and area."""
     numbers = ("swing\nV", "height\num", "width\num", "width\n%", "closure\num", "drift\num", "settled")
     alone = "" if len(found) > 1 else f" of {Path(next(iter(found))).name}"
     table = _table(f"Loops{alone}", ("" if alone else "file", "input", "output", *numbers))
@@ -206,7 +207,7 @@ def loops_table(found: Mapping[str, Sequence[Loop]]) -> Table:
 
 
 def facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
-    """One line a fact: its name and its text."""
+    """One line per fact: its name and its text."""
     table = _table(title, ("", ""), facts)
     table.show_header = False
     table.columns[1].min_width = len(title)  # a title is no wider than its table
@@ -214,7 +215,7 @@ def facts_table(title: str, facts: Iterable[tuple[str, str]]) -> Table:
 
 
 def played_table(found: Played) -> Table:
-    """One line for each input and output: how far it goes."""
+    """One line for each input and output: its range."""
     table = _table("Played", ("wire", "name", "", "lowest", "highest"))
     for word, unit, spans in (("voltage", "V", "inputs"), ("position", "um", "outputs")):
         for name, (low, high) in found.summary()[spans].items():

@@ -33,8 +33,7 @@ IN_LOOP_RULE = (
 )
 
 MUCH_LEFT = 3.0
-"""What a compensator leaves, in parts of the error of its model, from which it is said: both errors and a
-third one for what the model that stands for the actuator misses itself."""
+"""Ratio of compensator error to prediction error that gives a warning; the first has two model errors."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,8 @@ class Compared:
     hysteresis : its kind of hysteresis, ``none`` for a linear model
     dynamics : its linear block, in words
     parameters : number of free parameters
-    fitted, held : errors on fitted and on validation records; None if there are none
-    fitted_at, held_at : the same errors for the records at each frequency [Hz]
+    fitted, validation : errors on fitted and on validation records; None if there are none
+    fitted_at, validation_at : the same errors for the records at each frequency [Hz]
     folds_percent : cross-validation error on the fitted records in percent of the range; it decides the
         recommendation
     as_good : whether that is close to the least, by ``RULE``
@@ -105,7 +104,7 @@ class Compared:
     ns_a_sample : time of one sample of the model, all outputs together [ns]
     has_inverse : whether a compensator inverts it exactly
     inverse : that law, or why there is none
-    left : error of its compensator
+    left : compensator error
     flags : effects that it cannot represent
     model : the model, to save, simulate and compensate
     """
@@ -115,9 +114,9 @@ class Compared:
     dynamics: str
     parameters: int
     fitted: Score
-    held: Score | None
+    validation: Score | None
     fitted_at: Mapping[float, Score]
-    held_at: Mapping[float, Score]
+    validation_at: Mapping[float, Score]
     folds_percent: float
     as_good: bool
     seconds: float
@@ -136,20 +135,20 @@ class Compared:
     @property
     def judged(self) -> Score:
         """Error that counts: on validation records, if there are any."""
-        return self.held or self.fitted
+        return self.validation or self.fitted
 
     @property
     def judged_at(self) -> Mapping[float, Score]:
         """The same at each frequency."""
-        return self.held_at or self.fitted_at
+        return self.validation_at or self.fitted_at
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: all but the times, which no two runs share."""
         own = ("name", "hysteresis", "dynamics", "parameters", "as_good", "has_inverse", "inverse")
         plain: dict[str, Any] = {name: getattr(self, name) for name in own}
         plain["folds_percent"] = finite(self.folds_percent)
-        for name in ("fitted", "held"):
-            score, at = getattr(self, name), getattr(self, f"{name}_at")
+        judged = {"fitted": (self.fitted, self.fitted_at), "held": (self.validation, self.validation_at)}
+        for name, (score, at) in judged.items():
             plain[name] = None if score is None else _plain(score)
             plain[f"{name}_at"] = [{"frequency_hz": f, **_plain(one)} for f, one in at.items()]
         return plain | {"left": asdict(self.left), "flags": list(self.flags)}
@@ -170,7 +169,7 @@ class Comparison:
     best : name of the model with the lowest error
     recommended : name of the model that ``RULE`` recommends
     inputs, outputs : names of the axes
-    records, held : names of fitted and validation records
+    records, validation : names of fitted and validation records
     unseen : errors that decide on hysteresis in the loop; None if it was not asked for, or failed
     frequencies_hz : frequencies of the records, each once [Hz]
     """
@@ -182,7 +181,7 @@ class Comparison:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     records: tuple[str, ...]
-    held: tuple[str, ...]
+    validation: tuple[str, ...]
     unseen: Unseen | None = None
 
     def __getitem__(self, name: str) -> Compared:
@@ -202,7 +201,7 @@ class Comparison:
     def sentences(self) -> list[str]:
         """Recommendation with its reason, then warnings."""
         chosen, best = self[self.recommended], self[self.best]
-        where = "on the validation records" if self.held else "on the fitted records"
+        where = "on the validation records" if self.validation else "on the fitted records"
         count = number_of(chosen.parameters, "parameter")
         said = [
             f"Recommended: {chosen.name}, {count}. Its error is {chosen.judged.mean_percent:.3g} % of "
@@ -218,7 +217,7 @@ class Comparison:
                 f"{best.name} has a cross-validation error of {best.folds_percent:.3g} %, but no inverse."
             )
         other = min(self.entries, key=lambda entry: entry.judged.mean_percent)
-        if self.held and lowers(other.judged.mean_percent, chosen.judged.mean_percent):
+        if self.validation and lowers(other.judged.mean_percent, chosen.judged.mean_percent):
             said.append(
                 f"On the validation records, {other.name} has {other.judged.mean_percent:.3g} %, but "
                 f"{other.folds_percent:.3g} % in cross-validation, which decides: one other record can "
@@ -226,7 +225,7 @@ class Comparison:
             )
         if self.unseen is not None:
             said.append(self.unseen.sentence())
-        if not self.held:
+        if not self.validation:
             said.append(
                 "There is no validation record, so the error on other records is unknown: add one "
                 "with --validate before you rely on this model."
@@ -234,7 +233,7 @@ class Comparison:
         left, own = chosen.left.percent, chosen.judged.mean_percent
         if left is not None and left > MUCH_LEFT * own:
             said.append(
-                f"The error of its compensator on {chosen.left.on} is {left:.3g} % of the path, "
+                f"Its compensator error on {chosen.left.on} is {left:.3g} % of the path, "
                 "much more than its prediction error: the model predicts well, but its inverse is "
                 "inaccurate."
             )
@@ -254,7 +253,7 @@ class Comparison:
             "inputs": list(self.inputs),
             "outputs": list(self.outputs),
             "records": list(self.records),
-            "held_records": list(self.held),
+            "held_records": list(self.validation),
             "models": [entry.as_dict() for entry in self.entries],
             "failed": [asdict(one) for one in self.failed],
         }
@@ -273,7 +272,7 @@ class Comparison:
                 "hysteresis": entry.hysteresis,
                 "parameters": entry.parameters,
                 "fitted_percent": entry.fitted.mean_percent,
-                "held_percent": None if entry.held is None else entry.held.mean_percent,
+                "held_percent": None if entry.validation is None else entry.validation.mean_percent,
                 "folds_percent": finite(entry.folds_percent),
                 "as_good": entry.as_good,
                 "seconds": entry.seconds,

@@ -1,4 +1,4 @@
-"""Motion that is added to a path: from the initial position to its start, and to every hold from one side."""
+"""Motion added to a path: a lead-in from the initial position, and detours to reach holds from one side."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -11,17 +11,17 @@ from hammerstein.errors import InputError
 from hammerstein.signals import smooth_step
 
 SHORTEST_S, LONGEST_S = 0.02, 1.0
-"""A stage rings for less than the first; nobody waits for more than the second."""
+"""Shortest and longest lead-in [s]: a stage rings for less than the first."""
 PEAK = 10.0 / math.sqrt(3.0)
 """Largest acceleration of a fifth-order step of size and duration 1."""
 TURNED = 4.0
-"""Largest acceleration of a fifth-order way to velocity 1 in duration 1, at most."""
+"""Bound of the acceleration of a fifth-order transition to velocity 1 in duration 1."""
 SMOOTH = 0.5
-"""Third difference of the beginning of a path, in parts of the second, up to which it has an acceleration."""
+"""Third difference of the beginning of a path over the second, up to which it has an acceleration."""
 GOES_ON = 0.1
-"""Second step of a path, in parts of the first, from which both are motion; a jump has none, noise may."""
+"""Second step of a path over the first, from which both are motion; a jump has none, noise may."""
 AT_REST = 1e-9
-"""Start of a path, in parts of its largest position, that is rounding."""
+"""Start of a path, in parts of its largest position, up to which it is rounding."""
 
 
 def lead_in(reference_um: Array, sample_time_s: float) -> Array:

@@ -25,16 +25,16 @@ from hammerstein.quantities import length
 from hammerstein.validation import mistakes_of
 
 LARGEST_OF_NOISE = 4.5
-"""Rms of noise, times this: one of 150,000 samples is farther from zero."""
+"""Largest noise over its rms: one of 150,000 samples exceeds it."""
 WIDER = 100.0
-"""Spans beyond each end that a drive may use which shows what a path needs."""
+"""Extension of the range beyond each end, in spans, to find the voltage that a path needs."""
 LawLike = str | Compensator
 """A law by its name in a scenario, or a compensator."""
 
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """The drive that a law computes for a path, and what it leads to. The first ``lead`` samples lead in.
+    """Drive of a law for a path, and the predicted motion. The first ``lead`` samples are a lead-in.
 
     drive_v : (m, N) as sent; predicted : of all samples
     """
@@ -63,10 +63,9 @@ class Attempt:
         return cls(law, reference_um, lead, sent, predicted)
 
     def limited_um(self, model: HammersteinModel, limits: DriveRange, compensator: Compensator) -> Array:
-        """Largest change (p,) of the motion on the path by the ends of the range [um].
+        """Largest change (p,) of the motion on the path that the range causes [um].
 
-        A law that leaves an error of its own leaves it within the range, too. Where no drive is found without
-        ends, the whole error counts.
+        It excludes the law's own error. If no drive is found without range, it is the whole error.
         """
         wide = widened(limits)
         if wide is None or self.law.softens(self.reference_um):
@@ -89,7 +88,7 @@ class Attempt:
 
     @property
     def complete(self) -> bool:
-        """Whether the drive is never at its range, nor the path left otherwise."""
+        """Whether the drive never reaches its range and follows the path."""
         return self.predicted.complete and not self.law.softens(self.reference_um)
 
     @property
@@ -104,13 +103,13 @@ class Attempt:
 
 
 def drive_within(model: HammersteinModel, limits: DriveRange) -> Drive:
-    """Converter and amplifier of a model with another range."""
+    """Drive of a model with another range."""
     ends = tuple(zip(limits.low_v.tolist(), limits.high_v.tolist(), strict=True))
     return model.instruments.drive.model_copy(update={"range_v": ends})
 
 
 def widened(limits: DriveRange) -> DriveRange | None:
-    """The range with ends far away; None where it has none, or conditions beside them."""
+    """The range with its ends far away; None without ends or with other conditions."""
     span = WIDER * limits.span_v
     if limits.conditioned or not np.isfinite(span).all():
         return None
@@ -120,7 +119,7 @@ def widened(limits: DriveRange) -> DriveRange | None:
 def sensorless_law(
     compensator: Compensator, model: HammersteinModel, limits: DriveRange, sample_time_s: float
 ) -> Law[Any]:
-    """Design a law; InputError where it needs the sensor."""
+    """Design a law; InputError if it needs the sensor."""
     built = compensator.design(model, limits, sample_time_s)
     if not isinstance(built, Law):
         what = f"{compensator.law} needs the sensor's readings, so it has no drive to send in advance"
@@ -129,7 +128,7 @@ def sensorless_law(
 
 
 def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
-    """Return the compensator that is named, with its options, or that is there already.
+    """Return the compensator of a name, with its options, or a compensator itself.
 
     Raises InputError for an unknown law or option.
     """
@@ -146,7 +145,7 @@ def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
 
 
 def stated_error_um(model: HammersteinModel) -> Array | None:
-    """Rms error of the model on the records that judged it (p,) [um]; None where none has.
+    """Rms error of the model on validation records, else fitted ones (p,) [um]; None without any.
 
     It includes their noise.
     """
@@ -157,7 +156,7 @@ def stated_error_um(model: HammersteinModel) -> Array | None:
 
 
 def model_error_um(model: HammersteinModel) -> Array | None:
-    """Rms error of the model itself (p,) [um], without the noise of the records; None where untested."""
+    """Rms error of the model itself (p,) [um], without the noise of the records; None if untested."""
     stated, verdict = stated_error_um(model), model.verdict
     if stated is None or verdict is None:
         return None
@@ -165,7 +164,7 @@ def model_error_um(model: HammersteinModel) -> Array | None:
 
 
 def _largest_um(model: HammersteinModel) -> Array | None:
-    """Largest error of the model (p,) on these records [um], without the largest that their noise makes."""
+    """Largest error of the model (p,) on these records [um], less the largest noise."""
     verdict = model.verdict
     if verdict is None or len(verdict.largest_um) != len(model.outputs):
         return None
@@ -173,7 +172,7 @@ def _largest_um(model: HammersteinModel) -> Array | None:
 
 
 def model_statement(model: HammersteinModel) -> str:
-    """Error of the model, which comes on top of that of a drive for the model."""
+    """State the error of the model, which adds to that of a drive for the model."""
     own = model_error_um(model)
     if own is None or model.verdict is None:
         return "The error of the model comes on top; it is untested."
@@ -190,9 +189,9 @@ class Prediction:
     """Contributions to the rms error of a drive, each (p,) in um; all but the path's are from the model file.
 
     path : of the drive if the actuator were exactly the model; most : the largest error of that kind
-    model : of the model about its mean, None where untested; validated : whether on a validation record
+    model : of the model about its mean, None if untested; validated : whether on a validation record
     largest : error of the model there, see ``_largest_um``
-    rest : of the position at rest, from which a path counts; None where no record began at rest
+    rest : of the initial position, from which a path counts; None if no record began at rest
     converter : of rounding to steps, uniformly distributed; noise : of the sensor
     """
 
@@ -272,17 +271,17 @@ class Prediction:
 
 FILTER_TRIALS, FILTER_DECADES = 16, 300.0  # frequencies tried, and how far below Nyquist
 MOVED = (0.125, 0.25, 0.5, 1.0)
-"""Parts of the way to the middle of the reach by which a path is moved."""
+"""Offsets that are tried for a path, in parts of the distance to the middle of the reach."""
 SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)
-"""Parts of the range over which the jump at a reversal is spread."""
+"""Softenings that are tried, in parts of the range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Missed(ABC):
-    """A path that is out of reach, and what tries to mend it starts from.
+    """A path that is out of reach, and the start of the search for remedies.
 
-    own_um : (p,) error of the model itself: what is missed by less is no miss
-    moved : whether an offset is in the path already
+    own_um : (p,) error of the model itself; smaller deviations do not count
+    moved : whether the path already has an offset
     """
 
     model: HammersteinModel
@@ -308,12 +307,12 @@ class Missed(ABC):
 
     @cached_property
     def prefix(self) -> str:
-        """Option that the path needs beside others."""
+        """Option that the path needs in addition to others."""
         return ""
 
     @abstractmethod
     def _limits_hit(self) -> str:
-        """Say which limit is hit, and how far off the path is."""
+        """State which limit is hit, and the error of the path."""
 
     @abstractmethod
     def _attempt(self, compensator: Compensator, path_um: Array) -> tuple[float, bool]:
@@ -406,7 +405,7 @@ class Missed(ABC):
 
 @dataclass(frozen=True, eq=False)
 class MissedPath(Missed):
-    """A path that a drive misses from its beginning to its end."""
+    """Path out of reach that is driven once, from beginning to end."""
 
     found: Attempt
 
@@ -419,7 +418,7 @@ class MissedPath(Missed):
 
     @cached_property
     def prefix(self) -> str:
-        """Option that leads in, where the path begins elsewhere."""
+        """``--lead-in`` where the path begins away from the initial position."""
         away = lead_in(self.path_um, self.model.instruments.drive.sample_time_s).shape[1] > 0
         return self.LEADS_IN if away else ""
 
@@ -429,7 +428,7 @@ class MissedPath(Missed):
         return self.LEADS_IN if self.found.lead else ""
 
     def _limits_hit(self) -> str:
-        """Say what the voltages would have to be without limits, and how far off the path is with them."""
+        """State the voltages needed without limits, and the error of the path with them."""
         found, inputs = self.found.predicted, self.model.inputs
         parts, free_v = [], None
         if self.prefix and not self.given:  # the voltages of a jump say nothing

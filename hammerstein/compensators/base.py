@@ -1,4 +1,4 @@
-"""What a compensator is, and those that see each input alone: none at all, the inverse of its own pair."""
+"""Base class of compensators, and the laws without cross-coupling: none, and the inverse of each pair."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Compensator(Strict, ABC):
         law: str
 
     static: ClassVar[bool] = False
-    """Whether its law takes the dynamics of a model for none."""
+    """Whether its law ignores the dynamics of a model."""
     takes_loop: ClassVar[bool] = True
-    """Whether its law has a form for hysteresis in the loop of the dynamics; a static one has none."""
+    """Whether its law supports hysteresis in the loop of the dynamics; a static law does not."""
 
     @abstractmethod
     def design(
@@ -66,7 +66,7 @@ class NoCompensationLaw(Law[Memory]):
 
     This is the least drive if inputs outnumber outputs.
 
-    This is what one sends without a compensator: the right size, and all of the hysteresis.
+    This is the drive without a compensator: the right amplitude, with all of the hysteresis.
     """
 
     def __init__(self, model: HammersteinModel, range_v: RangeLike):
@@ -144,7 +144,7 @@ def inverse_pair(pair: Pair, axis: str = "pair") -> Pair:
 
 
 class DecoupledInverseLaw(Law[InverseState]):
-    """Each axis inverted on its own, as if the cross-couplings were not there.
+    """Each axis inverted on its own; cross-coupling is ignored.
 
     A smallest threshold r_1 above zero is split off, for play(a) after play(b) is play(a+b): the bank is
     (thresholds r - r_1) after play(r_1), and the inverse of play(r_1) jumps by 2 r_1 at a reversal.

@@ -1,4 +1,4 @@
-"""One settled period of a periodic path, which an amplifier repeats."""
+"""One settled period of a periodic path, for an amplifier that repeats it."""
 
 import math
 from collections.abc import Mapping
@@ -46,16 +46,16 @@ from hammerstein.signals import smooth_step
 
 TRIED_PERIODS = (4, 8, 16, 32)  # periods after which a drive may have settled
 SHORTEST_TRY_S = 0.1
-"""Short periods are tried several times over, so that a law with dynamics has this time to settle."""
+"""Short periods are repeated for at least this time, so that a law with dynamics settles."""
 RUN_UP_S = 0.25
-"""The amplitude of a run-up grows for this time at least, in whole periods."""
+"""Shortest growth of the amplitude of a run-up, in whole periods."""
 SETTLED = 1e-6  # of the range: what two periods may differ by
 PLAYED_PERIODS = 10
-"""The settled error is that of this period: hysteresis forgets in one, resonances of Q = 100 in ten."""
+"""Number of the period with the settled error: hysteresis settles in one, resonances of Q = 100 in ten."""
 CENTRING_ROUNDS = 20
-"""Each takes a step towards the middle, or halves the step."""
+"""Largest number of steps to centre a drive; each moves it or halves the step."""
 TABLE_UNIT = "table"
-"""Of a column of numbers that are not volts."""
+"""Unit in the names of columns whose numbers are not volts."""
 HELD = "the range limits the drive in {} of {} samples of a settled period, with {} (--range)"
 
 
@@ -64,10 +64,10 @@ class Cycle:
     """One period of voltages, and the model's response when it is repeated.
 
     reference_um : (p, N) path, relative to the start; drive_v : (m, N) as sent
-    played_um : (p, N) position in the last of ten periods; closure_um : its difference from the period before
+    played_um : (p, N) position in the last of ten periods; closure_um : its change from the period before
     run_up_v : (m, K) voltages from the start to the period, sent once before it
     first_um : (p, N) position in the first period after the run-up
-    learnt : whether a trial has corrected the drive, which then no longer brings the model to the path
+    learnt : whether a trial has corrected the drive; the model then no longer follows the path
     """
 
     model: HammersteinModel
@@ -90,15 +90,15 @@ class Cycle:
 
     @property
     def aim_um(self) -> Array:
-        """Where points of a table bring the model (p, N) [um]: to the path, or to what a learnt drive does.
+        """Target of the points of a table (p, N) [um]: the path, or the response to a learnt drive.
 
-        On the path, the model would take back what a trial has corrected.
+        With the path as target, the model would undo the corrections of a trial.
         """
         return self.played_um if self.learnt else self.reference_um
 
     @property
     def error_um(self) -> Array:
-        """Position less aim (p, N) in a settled period [um]."""
+        """Position minus ``aim_um`` (p, N) in a settled period [um]."""
         return self.played_um - self.aim_um
 
     def largest_steps_v(self) -> tuple[float, float]:
@@ -108,7 +108,7 @@ class Cycle:
         return float(np.abs(np.diff(sent, axis=1)).max()), float(np.abs(self.drive_v[:, :1] - start).max())
 
     def statements(self) -> list[str]:
-        """Conditions for sending it."""
+        """Conditions for sending the period."""
         settled, first = (_worst(self, position) for position in (self.played_um, self.first_um))
         step, jump = self.largest_steps_v()
         seconds = self.run_up_v.shape[1] * self.sample_time_s
@@ -129,7 +129,7 @@ class Cycle:
         return [*said, self.statement] if self.statement else said
 
     def run_up_csv(self, factor: float = 1.0, offset: float = 0.0) -> str:
-        """Text of the file of the run-up: times end where the period begins.
+        """Text of the run-up file; its times end where the period begins.
 
         factor, offset : from volts to the numbers of a table
         """
@@ -181,7 +181,7 @@ def run_up(drive_v: Array, start_v: Array, sample_time_s: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A law for a periodic path: model, range, law, one period (p, N) [um], and what the files are called."""
+    """A law for a periodic path: model, range, law, one period (p, N) [um], and names of the files."""
 
     model: HammersteinModel
     limits: DriveRange
@@ -195,7 +195,7 @@ class Design:
     def of_law(self, terms: Terms) -> Cycle:
         """One settled period of the law.
 
-        Raises SimulationError where the range keeps it off the path by more than the error of the model.
+        Raises SimulationError if the range causes an error above that of the model.
         """
         asked, at_range = centred(self.law, self.model, self.reference_um)
         cycle = self.cycle(asked, terms, at_range)
@@ -217,7 +217,7 @@ class Design:
         return replace(self.cycle(drive_v, terms, at_range), learnt=True)
 
     def cycle(self, asked_v: Array, terms: Terms, at_range: int = 0) -> Cycle:
-        """One period of these voltages on the steps of the converter, if they are allowed.
+        """One period of these voltages on the steps of the converter.
 
         at_range : samples in which a law wanted more than the range
 
@@ -249,7 +249,7 @@ def design_of(
     terms: Terms,
     onlooker: Onlooker = UNWATCHED,
 ) -> Design:
-    """Design a law for a file that holds one period of a path; what is wrong is raised as by ``cycle_of``."""
+    """Design a law for a file with one period of a path; raises the errors of ``cycle_of``."""
     model, source = HammersteinModel.load(model_path), PurePath(model_path).name
     refuse_flagged(model, source, terms)
     limits = allowed_range(model, terms)
@@ -271,7 +271,7 @@ def cycle_of(
     terms: Terms | None = None,
     onlooker: Onlooker = UNWATCHED,
 ) -> Cycle:
-    """One settled period of voltages for a file that holds one period of a path.
+    """One settled period of voltages for a file with one period of a path.
 
     After the last row of the file its first one follows: a period of N samples has N rows.
 
@@ -288,7 +288,7 @@ def cycle_of(
 
 @dataclass(frozen=True, eq=False)
 class MissedPeriod(Missed):
-    """A periodic path that a settled drive misses."""
+    """Periodic path out of reach of a settled drive."""
 
     found: Cycle
     at_range: int
@@ -317,7 +317,7 @@ class MissedPeriod(Missed):
 
 
 def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Array:
-    """Drive (m, N) of the period that no longer changes: the fixed point of the loop.
+    """Drive (m, N) of the settled period: the fixed point of the loop.
 
     Raises SimulationError where the periods do not become alike.
     """
@@ -344,9 +344,7 @@ def settled(law: Law[Any], model: HammersteinModel, reference_um: Array) -> Arra
 
 
 def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> tuple[Array, int]:
-    """Settled drive (m, N) that stays on the path when it is played from the start again and again.
-
-    And the number of samples in which the range limits it: a clipped drive that is shifted no longer shows.
+    """Settled drive (m, N) whose repetition from the start follows the path, and its samples at the range.
 
     Plays that a loop does not move in both directions keep a state that depends on how the loop began. A
     table begins differently from the law, so that its loop has another centre and the same shape. The
@@ -368,12 +366,12 @@ def centred(law: Law[Any], model: HammersteinModel, reference_um: Array) -> tupl
 
 
 def half_stroke(drive_v: Array) -> float:
-    """Half of what an input goes at most [V], for which the gain of the settled loops is taken."""
+    """Half of the largest swing of an input [V], at which the gain of the settled loops is evaluated."""
     return max(0.5 * float(np.ptp(drive_v, axis=1).max()), 1e-6)
 
 
 class Player:
-    """Plays voltages (m, N) that are sent from the start, on the sample time of the model's drive."""
+    """Simulates voltages (m, N) from the start, on the sample time of the model's drive."""
 
     def __init__(self, model: HammersteinModel, limits: DriveRange):
         self._start_v, self._time_s = limits.start_v, model.instruments.drive.sample_time_s
@@ -381,12 +379,12 @@ class Player:
         self._before_um, self._memory = self._model.hysteresis.standing(limits.history())
 
     def position(self, drive_v: Array) -> Array:
-        """Position (p, N) [um], counted from the start."""
+        """Position (p, N) relative to the start [um]."""
         v, _ = self._model.static_response(drive_v, self._memory)
         return self._block.respond(v - self._before_um[:, None])[0]
 
     def settled(self, drive_v: Array) -> tuple[Array, float]:
-        """Position (p, N) in the last of ten periods (m, N), and by how much the one before differs [um].
+        """Position (p, N) in the last of ten periods (m, N), and its change from the period before [um].
 
         The run-up comes before them: a jump from the start would still ring after ten short periods.
         """
@@ -398,7 +396,7 @@ class Player:
 
 
 def held_least(cycle: Cycle, points: int) -> Array:
-    """Voltages (m, points), each held over N / points samples, with the least error when they are played.
+    """Voltages (m, points), each held over N / points samples, with the least error in simulation.
 
     Near any voltages the settled position changes by about ``H d``: the hold, the gain of the settled loops
     and the linear block, all periodic. The least-squares problem of ``error + H d`` separates into one small
@@ -420,7 +418,7 @@ def held_least(cycle: Cycle, points: int) -> Array:
 
 
 def held_error(cycle: Cycle, table: Array, hold: int) -> Array:
-    """Error (p, N) of a period [um] whose voltages (m, n) are each held over so many samples."""
+    """Error (p, N) of a period [um] whose voltages (m, n) are each held over ``hold`` samples."""
     position, _ = Player(cycle.model, cycle.limits).settled(np.repeat(table, hold, axis=1))
     return np.asarray(position - cycle.aim_um)
 

@@ -1,4 +1,4 @@
-"""Drive that erases the history of hysteresis: a decaying alternation about the middle of the range."""
+"""Drive that erases the history of hysteresis: decaying oscillation about the middle of the range."""
 
 from dataclasses import dataclass
 
@@ -14,14 +14,14 @@ from hammerstein.quantities import interval
 from hammerstein.signals import Degauss, smooth_step
 
 MIN_POINTS = 20
-"""Samples of a period at least."""
+"""Fewest samples of a period."""
 LEAD_S = 0.1
-"""In which the drive comes from the working point to the middle of the range."""
+"""Duration of the transition from the working point to the middle of the range [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class DegaussDrive:
-    """Voltages that erase the past, and how much of it the model still shows after them.
+    """Voltages that erase the history, and its predicted effect before and after them.
 
     drive_v : (m, N) absolute; before_um, after_um : (p,) difference of position between an actuator that was
         driven to the highest and one that was driven to the lowest voltage before
@@ -66,12 +66,12 @@ class DegaussDrive:
 def degauss_drive(
     model: HammersteinModel, frequency_hz: float, cycles: int, terms: Terms | None = None
 ) -> DegaussDrive:
-    """Decaying alternation of all inputs about the middle of the range, on the model's sample time.
+    """Decaying oscillation of all inputs about the middle of the range, on the model's sample time.
 
     Parameters
     ----------
     model : m inputs
-    frequency_hz : of the alternation [Hz]; well below the resonance
+    frequency_hz : of the oscillation [Hz]; well below the resonance
     cycles : periods in which the amplitude falls to zero, after a first one
     terms : range
 

@@ -1,4 +1,4 @@
-"""From a reference file to the voltages that a person can send."""
+"""From a reference file to voltages for the real actuator."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -50,18 +50,18 @@ HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 INITIAL_STATE, AT_REST = "Initial state, where the path is zero", "at rest, without history"
 DRIVEN_TO = "driven to"
 NOTHING = 1e-5
-"""Part of a path that is no miss, whatever is known of the model."""
+"""Error, in parts of a path, that never counts as out of reach."""
 EARLIER = " Earlier motion shifts the position"
 FORGOTTEN = "; less so after both ends of the range (--conditioned)"
 
 
 @dataclass(frozen=True, eq=False)
 class Compensation(Attempt):
-    """Drive for real hardware, and what the model predicts for it.
+    """Drive for real hardware, and its prediction by the model.
 
-    law : the law that gave the drive
+    law : law of the drive
     reference_um : path (output, sample), its lead-in included, counted from the start [um]
-    drive_v : voltages (input, sample) as they are sent: absolute, on the converter's steps, in the range
+    drive_v : voltages (input, sample) to send: absolute, on the converter's steps, in the range
     prediction : parts of the error
     reach : what slow paths can reach
     time_s : (sample,) on the drive's sample time; the path begins at its own time, a lead-in before it
@@ -129,7 +129,7 @@ class Compensation(Attempt):
         return [*([" ".join(warned)] if warned else []), self._start(), expected]
 
     def statements(self) -> list[str]:
-        """Say all that is known of the voltages."""
+        """All statements on the voltages."""
         inputs, recorded = self.model.inputs, self.model.recorded
         said = [f"Model {self.source} ({self.model.origin}): {recorded.statement(inputs)}."]
         said += [*verdict_statements(self.model), self._start(), f"Range {self.law.range.words(inputs)}."]
@@ -211,7 +211,7 @@ class Compensation(Attempt):
     def to_csv(self, path: Path | str | None = None, *, tell: Tell | None = None) -> str:
         """Text of the drive file: time, voltages to send, reference, predicted position.
 
-        path : file that is written with it; tell : told how many rows are written
+        path : file to write; tell : receives the number of rows written so far
         """
         groups = predicted_groups(self.model, self.drive_v, self.reference_um, self.shortfall.predicted_um)
         text = drive_csv(self.time_s, groups, [HEADING, *self.statements()], tell)
@@ -278,7 +278,7 @@ def compensate(
     reference_path : CSV file
     law, options : a law and its options, by their names in a scenario
     terms : range, start, and what is accepted
-    onlooker : told the cost of the path before the work
+    onlooker : receives the cost of the path before the work
 
     Raises
     ------
@@ -311,7 +311,7 @@ def compensation_of(
 ) -> Compensation:
     """Voltages for a reference (output, sample) [um] on the sample time of the model's drive.
 
-    source : what the model is called in messages; its name if not given. The rest is that of ``compensate``.
+    source : name of the model in messages. The other parameters are those of ``compensate``.
     """
     terms, called = terms or Terms(), source or model.name
     refuse_flagged(model, called, terms)
@@ -366,7 +366,7 @@ def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
 
 
 def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
-    """Range of the drive: that of the records, or the one that is asked for.
+    """Range of the drive: that of the records, or the requested one.
 
     Raises InputError for a range or a start that does not fit the model.
     """
@@ -422,7 +422,7 @@ def refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
 
 
 def beyond_records(model: HammersteinModel, drive_v: Array) -> str:
-    """Say where voltages (m, N) [V] leave those of the records; empty if they do not."""
+    """State where voltages (m, N) [V] exceed those of the records; empty if they do not."""
     recorded = model.recorded
     for name, row, low, high in zip(
         model.inputs, drive_v, recorded.lowest_v, recorded.highest_v, strict=True

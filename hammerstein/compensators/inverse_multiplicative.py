@@ -1,4 +1,4 @@
-"""The paper's compensator, which needs no inversion of the model (Theorem 4.1)."""
+"""The paper's compensator without inversion of the model (Theorem 4.1)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ class FeedbackState(Memory):
 
 @dataclass(frozen=True)
 class Convergence:
-    """Whether the iteration inside the law converges, over all slopes its model can have.
+    """Convergence of the iteration of the law over all slopes of its model.
 
     slope_min_um_per_v, slope_max_um_per_v : smallest and largest direct slope
     spectral_radius : largest of |1 - (1-a) eig(K J)|, a pass; below 1 the iteration converges
@@ -57,7 +57,7 @@ class Convergence:
         return self.spectral_radius < 1.0
 
     def statement(self) -> str:
-        """Say in one sentence whether it converges, with the numbers."""
+        """State in one sentence whether it converges, with the numbers."""
         slopes = f"slopes {self.slope_min_um_per_v:.3g} to {self.slope_max_um_per_v:.3g} um/V"
         outcome = "converges" if self.converges else "does not converge"
         tail = ", with overshoot" if self.converges and self.overshoot else ""
@@ -80,13 +80,13 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
 
         tau df/dt = U - K Gamma(U) - f = K (Y_r - Gamma(U)),
 
-    so that the filter is an integrator of what is left, beside the direct path K Y_r, which it does not
+    so that the filter integrates the error, in parallel to the direct path K Y_r, which it does not
     change. For an input held over the time h of a pass (T / iterations), and a = exp(-h / tau),
 
         f[k+1] = f[k] + (1-a) K (Y_r[k] - Gamma(K Y_r[k] + f[k])).
 
     The delay of one sample is a = 0. This is a fixed-point iteration, which converges while the spectral
-    radius of ``I - (1-a) K J`` stays below 1 for every slope matrix J of the model. Where J stands still the
+    radius of ``I - (1-a) K J`` stays below 1 for every slope matrix J of the model. With constant J, the
     error is ``s (1 - K J) / (s + K J / tau)`` of the reference: the filter must be fast against the path.
 
     Parameters
@@ -156,7 +156,7 @@ class InverseMultiplicativeLaw(Law[FeedbackState]):
         return FeedbackState(plays, history[:, -1] - self.gain_v_per_um @ v), v
 
     def statement(self) -> str:
-        """Say whether the iteration inside converges, with the numbers."""
+        """State whether the iteration converges, with the numbers."""
         return self.convergence.statement()
 
     def _remedy(self) -> str:

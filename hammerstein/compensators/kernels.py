@@ -12,7 +12,7 @@ STILL_V = 1e-9
 
 @compiled()
 def respond_gain(reference, gain, base, low, high, first, stop, drive):  # type: ignore[no-untyped-def]
-    """U = base + gain Y_r within the range, summed in the order of the outputs, however many samples.
+    """U = base + gain Y_r within the range, summed in the order of the outputs for any number of samples.
 
     reference : (p, N); gain : (m, p) [V/um]; base, low, high : (m,) [V]
     drive : (m, N), overwritten from sample first up to stop
@@ -37,7 +37,7 @@ def asked_for(gain, reference, t, memory, low, high, u):  # type: ignore[no-unty
 
 @compiled()
 def feed_back(gain, pole, u, v, memory):  # type: ignore[no-untyped-def]
-    """Move f (m,) on by a pass, after voltages u (m,) that put out v (p,)."""
+    """Update f (m,) by one pass, after voltages u (m,) with output v (p,)."""
     for k in range(u.shape[0]):
         left = u[k]
         for o in range(v.shape[0]):
@@ -90,7 +90,7 @@ def respond_inverse_play(v, r, low, high, last, sign, first, stop, u):  # type: 
 
 @helper()
 def to_sent(drive, frame, sent):  # type: ignore[no-untyped-def]
-    """Put voltages (m, 1), from the working point, into those that are sent (m,); False if not finite.
+    """Write voltages (m, 1), relative to the working point, as absolute ones (m,); False if not finite.
 
     frame : (4, m) origin of the reference, working point, lowest and highest voltage
     """
@@ -107,7 +107,7 @@ def to_sent(drive, frame, sent):  # type: ignore[no-untyped-def]
 
 @helper()
 def from_rest(sample, frame, reference):  # type: ignore[no-untyped-def]
-    """Put a sample (p,), counted from the start, into reference (p, 1), from rest; False if not finite."""
+    """Write a sample (p,) from the start to reference (p, 1) from rest; False if not finite."""
     sound = True
     for o in range(sample.shape[0]):
         sound = sound and np.isfinite(sample[o])
@@ -117,7 +117,7 @@ def from_rest(sample, frame, reference):  # type: ignore[no-untyped-def]
 
 @compiled()
 def step_gain(sample, frame, gain, limits):  # type: ignore[no-untyped-def]
-    """Voltages as they are sent (m,) for one sample (p,), and whether all is finite.
+    """Absolute voltages (m,) for one sample (p,), and whether all are finite.
 
     limits : (3, m) base, lowest and highest voltage of ``respond_gain``
     """
@@ -132,7 +132,7 @@ def step_gain(sample, frame, gain, limits):  # type: ignore[no-untyped-def]
 def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
     sample, frame, axes, gain, pole, iterations, limits, r, slope, moment, count, end, x, d, below, memory
 ):
-    """Voltages as they are sent (m,), the memory after one sample (p,), and whether all is finite.
+    """Absolute voltages (m,), memory after one sample (p,), and whether all are finite.
 
     limits : (2, m) lowest and highest voltage of the law; the others as for the loop; none is written to
     """
@@ -152,7 +152,7 @@ def step_inverse_multiplicative(  # type: ignore[no-untyped-def]
 def step_decoupled(  # type: ignore[no-untyped-def]
     sample, frame, limits, r, guide, scale, n, lines, w, outputs, count, end, x, d, below, window, last, sign
 ):
-    """Voltages as they are sent (m,), the memory after one sample (m,), and whether all is finite.
+    """Absolute voltages (m,), memory after one sample (m,), and whether all are finite.
 
     limits : (3, m) jump, lowest and highest voltage of ``respond_inverse_play``
     r to outputs : plays of the inverse; count to sign : the memory; none is written to

@@ -1,4 +1,4 @@
-"""Iterative learning: next drive of a periodic path, from the last one and its readings, and as a law."""
+"""Iterative learning: the next drive of a periodic path from the last one and its readings, and the law."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ DEVIATIONS = 2.0  # standard deviations that are counted on
 SURE = 0.5  # relative error up to which all of an error is learnt
 FAINT = 10.0  # how many times weaker than at rest a model is no longer believed
 WEIGHTS, RESONANCE = 0.05, 0.01
-"""Relative errors of weights and of a resonance where a model file states none."""
+"""Relative errors of weights and resonances if the model file states none."""
 
 
 @dataclass(frozen=True)
 class ModelUncertainty:
     """Relative standard deviations of the weights and of the resonances of a model.
 
-    Learning through the inverse of a model is ``e+ = (1 - Q T) e`` at each frequency, with T what the
-    actuator does behind that inverse and Q a filter. Where ``|T - 1| <= delta < 1`` it converges for every Q
+    Learning through the inverse of a model is ``e+ = (1 - Q T) e`` at each frequency, with T the response of
+    inverse and actuator, and Q a filter. Where ``|T - 1| <= delta < 1`` it converges for every Q
     from 0 to 1, by ``1 - Q (1 - delta)`` a trial at worst. So Q is 1 up to delta = 1/2 and falls to 0 at
     delta = 1.
 
@@ -50,7 +50,7 @@ class ModelUncertainty:
     def relative(self, model: HammersteinModel, frequency_hz: Array, sample_time_s: float) -> Array:
         """Bound delta (frequency, output) of the relative error of the model, two standard deviations.
 
-        Infinite where the actuator responds with less than a tenth of what it does when it stands still:
+        Infinite where the response of the actuator is less than a tenth of its static gain:
         there it is another one, and its inverse would ask for more than a drive has.
         """
         ends = model.about_middle.amplitude(model.amplitude_v).sum(axis=1)
@@ -76,7 +76,7 @@ class ModelUncertainty:
 
     @staticmethod
     def share(delta: Array) -> Array:
-        """Part Q of an error that is learnt, where the model is as uncertain as this."""
+        """Part Q of an error that is learnt with this uncertainty of the model."""
         return np.asarray(np.clip((1.0 - delta) / (1.0 - SURE), 0.0, 1.0))
 
 
@@ -86,7 +86,7 @@ def _diagonal(block: LinearBlock, frequency_hz: Array) -> Complex:
 
 
 OTHER = 0.5
-"""Part of a motion that is left where it is another one, in another unit or at another time."""
+"""Error, in parts of the motion, from which a reading has another path, unit or time."""
 SIGNIFICANT = 3.0  # standard deviations of normal noise: what an error must exceed to be learnt
 RANDOM = 0.01  # how often white noise is taken for drift, per output: at any of the lines above 0 Hz
 RANDOM_OFFSET = 0.2  # the same at 0 Hz, where sensors drift: a mistake delays this line by one trial
@@ -102,12 +102,12 @@ class IlcUpdate:
 
     drive_v : (m, N) next period of voltages; that of the trial if there is nothing left to learn
     error_um : (p, N) mean error of the trial, corrected for the sensor's lag
-    noise_um : rms of what does not repeat from period to period, in the mean of the readings
+    noise_um : rms of the non-periodic part of the mean of the readings
     lifted : factor by which the correction for the sensor's lag amplifies this noise
-    doubt_um2 : what the mean square error exceeds by this noise as seldom as normal noise three deviations
+    doubt_um2 : three-sigma bound of the mean square error that this noise causes
     learnt : corrected lines of the spectrum
-    unsure : lines with an error beyond the noise that are not, because the model is too uncertain there
-    slowest : largest part of an error that a trial leaves
+    unsure : lines with an error beyond the noise that are not corrected, because the model is too uncertain
+    slowest : largest part of an error that remains after a trial
     limit_hz : frequency from which the model is too uncertain to learn; inf if there is none
     before : result of the trial before, if given
     """
@@ -125,17 +125,17 @@ class IlcUpdate:
 
     @property
     def square_um2(self) -> float:
-        """Mean square of the mean error, less that of its noise: negative by chance if no error is left."""
+        """Mean square of the mean error minus that of its noise; may be negative without error."""
         return rms(self.error_um) ** 2 - (self.lifted * self.noise_um) ** 2
 
     @property
     def error_rms_um(self) -> float:
-        """Rms of the mean error, with the noise in it taken off."""
+        """Rms of the mean error without its noise."""
         return float(np.sqrt(max(self.square_um2, 0.0)))
 
     @property
     def finished(self) -> bool:
-        """Whether nothing more is learned: what remains is noise, or the model is too uncertain for it."""
+        """Whether learning ends: only noise remains, or the model is too uncertain for the rest."""
         return self.learnt == 0 or self.worse
 
     @property
@@ -148,7 +148,7 @@ class IlcUpdate:
         return replace(self, before=before, drive_v=drive_v if self.worse_than(before) else self.drive_v)
 
     def worse_than(self, before: IlcUpdate) -> bool:
-        """Whether this trial is farther off than one before, by more than the noise of both."""
+        """Whether the error of this trial exceeds that of an earlier one by more than the noise of both."""
         return self.square_um2 > before.square_um2 + float(np.hypot(self.doubt_um2, before.doubt_um2))
 
     @property
@@ -198,16 +198,16 @@ def ilc_update(
 ) -> IlcUpdate:
     """Learn from a trial.
 
-    The error behind the sensor's lag, ``E = R - Y / S``, is added to what the model does with the last
-    drive, where it is more than noise and the model is certain enough (``ModelUncertainty``); the model's own
-    inverse gives the drive of that path.
+    The error corrected for the sensor's lag, ``E = R - Y / S``, is added to the response of the model to the
+    last drive, where it exceeds the noise and the model is certain enough (``ModelUncertainty``); the inverse
+    of the model gives the drive of that path.
 
     Parameters
     ----------
     model, law : the model and its inverse, designed for the drive
     reference_um : (p, N) one period, counted from the start
-    drive_v : (m, N) the period that was played
-    measured_um : (p, periods N) settled periods that the sensor read, zero where the actuator stood
+    drive_v : (m, N) the period of the trial
+    measured_um : (p, periods N) settled periods of readings, zero at the initial position
     uncertainty : relative uncertainty of the model
     sensor_bandwidth_hz : first-order lag of the sensor
 
@@ -343,18 +343,18 @@ def learn_from_files(
     onlooker: Onlooker = UNWATCHED,
     before: tuple[Path, Path] | None = None,
 ) -> tuple[Cycle, IlcUpdate]:
-    """Next period of voltages, and what was learned from the trial.
+    """Next period of voltages, and the update from the trial.
 
     Parameters
     ----------
     path : one period of the path
-    trial : the drive file that was played, and what the sensor read: ``time_s`` and one column an output in
-        um, whole settled periods, zero where the actuator stood before
+    trial : the drive file of the trial, and the readings: ``time_s`` and one column per output in um,
+        whole settled periods, zero at the initial position
     uncertainty : relative uncertainty of the model
     onlooker : receives the cost of the path before the work
-    before : the files of the trial before; its drive is kept if this trial was worse
+    before : the files of the previous trial; its drive is kept if this trial was worse
 
-    Raises InputError for files that do not belong together, and what ``cycle_of`` does.
+    Raises InputError for files that do not belong together, and the errors of ``cycle_of``.
     """
     design = design_of(model_path, path, law, options, terms, onlooker)
     found, _ = _taught(design, trial, uncertainty, terms.units)
@@ -438,9 +438,9 @@ class LearnedLaw(Learner):
 
     Parameters
     ----------
-    model, inverse : what is known of the actuator, and its inverse, designed for the drive
+    model, inverse : model of the actuator, and its inverse, designed for the drive
     uncertainty : relative uncertainty of the model
-    trial : the trial that is measured
+    trial : number of the measured trial
     """
 
     def __init__(
@@ -460,7 +460,7 @@ class LearnedLaw(Learner):
         reading_um: Array,
         before: tuple[Array, Array] | None = None,
     ) -> Array:
-        """Voltages after an update; those of the trial before where this one was worse beyond the noise."""
+        """Voltages after an update; those of the previous trial if this one was worse beyond the noise."""
         bandwidth = self.model.instruments.sensor.bandwidth_hz
         known = (self.model, self.inverse, reference_um)
         taught = ilc_update(*known, drive_v, reading_um, self.uncertainty, bandwidth)
@@ -469,7 +469,7 @@ class LearnedLaw(Learner):
         return taught.drive_v
 
     def statement(self) -> str:
-        """Say what its inverse says, and that a sensor must be there."""
+        """Statement of the inverse, and the need of a sensor."""
         own = f"Trial {self.trial} is measured; each after the first needs the readings of the previous one."
         return f"{own} {self.inverse.statement()}".strip()
 

@@ -1,4 +1,4 @@
-"""Paths and drives in files: samples on the drive's grid, what these cost, and the text of a drive file."""
+"""Paths and drives in files: samples on the drive's grid, their cost, and the text of a drive file."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,14 +25,14 @@ GAP, GAPS = 1.5, 0.01
 
 
 def half_span_v(model: HammersteinModel) -> Array:
-    """Half of what the records covered of each input (m,) [V]; not finite where nothing limits it."""
+    """Half of the range of each input in the records (m,) [V]; not finite without limit."""
     return np.asarray(0.5 * (np.array(model.recorded.highest_v) - np.array(model.recorded.lowest_v)))
 
 
 def in_um(
     path: Path, names: Sequence[str], values: Array, model: HammersteinModel, units: str | None
 ) -> Array:
-    """Positions (p, N) of a file in um: those whose column names no unit have that of ``units``, else um.
+    """Positions (p, N) of a file in um; ``units`` (default: um) holds for columns that name no unit.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ CYCLE_COST = PathCost(1300.0, 75e-6)
 
 
 class PathWork(NamedTuple):
-    """What a path costs: samples on the drive's grid, and the cost of each."""
+    """Cost of a path: samples on the drive's grid, and the cost of each."""
 
     samples: int
     sample_time_s: float
@@ -102,14 +102,14 @@ class PathWork(NamedTuple):
         return self.samples * self.cost.seconds
 
     def statement(self) -> str:
-        """Say samples, memory and time."""
+        """State samples, memory and time."""
         return (
             f"{self.samples:,} samples of {interval(self.sample_time_s)}: about {size(self.bytes)} of memory "
             f"and {duration(self.seconds)}"
         )
 
     def refuse_too_large(self, path: Path | str) -> None:
-        """Raise SimulationError where the memory that is free does not hold it."""
+        """Raise SimulationError if the free memory is too small."""
         free = free_bytes()
         if self.bytes > free:
             raise SimulationError(
@@ -120,11 +120,11 @@ class PathWork(NamedTuple):
 
 
 def _nothing(_: Any) -> None:
-    """Nobody listens."""
+    """Ignore progress."""
 
 
 class Onlooker(NamedTuple):
-    """Who is told of a path: ``begin`` gets its cost before the work, ``tell`` what is being done."""
+    """Receives progress of a path: ``begin`` its cost before the work, ``tell`` the current step."""
 
     begin: Callable[[PathWork], None] = _nothing
     tell: Callable[[str], None] = _nothing
@@ -143,15 +143,15 @@ def read_path(
     units: str | None = None,
     periodic: bool = False,
 ) -> tuple[Array, Array, str]:
-    """Times (sample,), positions (output, sample) on the drive's grid, and what was resampled or left out.
+    """Times (sample,), positions (output, sample) on the drive's grid, and notes on resampling.
 
     Parameters
     ----------
     path : CSV file, see ``read_signal``
-    word : what a column of a file of ours holds, ``reference`` or ``reading``
-    cost : of a sample, in what is done with the path
-    onlooker : told the cost before the grid is made
-    units : of the columns that name none
+    word : content of the columns, ``reference`` or ``reading``
+    cost : of a sample
+    onlooker : receives the cost before the grid is made
+    units : of columns without unit
     periodic : whether the first row follows the last one, a step of the path later
 
     Raises
@@ -185,14 +185,16 @@ def read_path(
 
 
 def _resampled(times: Array, sample_time_s: float) -> str:
-    """Say from which steps a path was interpolated, or where it has gaps."""
+    """State from which steps a path was interpolated, or where it has gaps."""
     steps = np.diff(times)
     typical = float(np.median(steps))
     gaps = np.flatnonzero(steps > GAP * typical)
     if not 0 < gaps.size <= GAPS * steps.size:
         return (
             f"The path was interpolated linearly from steps of {interval(typical)} to the sample time of the "
-            f"drive, {interval(sample_time_s)}. If this makes corners, smooth them with --filter-hz."
+            f"drive, {interval(sample_time_s)}."
+            + " If this makes corners, smooth them with --filter-hz."
+            * (sample_time_s < typical)
         )
     worst, many = int(np.argmax(steps)), "a gap" if gaps.size == 1 else f"{gaps.size} gaps, the longest"
     return (
@@ -205,13 +207,13 @@ Tell = Callable[[str], None]
 Group = tuple[str, str, Sequence[str], Array]
 """Columns of a drive file: their word, unit and axes, and the signals (axis, sample)."""
 ROWS_AT_ONCE = 100_000
-"""Rows of text that are in memory together."""
+"""Rows of text in memory at a time."""
 
 
 def predicted_groups(
     model: HammersteinModel, drive_v: Array, reference_um: Array, predicted_um: Array
 ) -> list[Group]:
-    """Columns of a drive file with its path and what a model predicts."""
+    """Columns of a drive file: voltages, path and prediction."""
     paths = (("reference", reference_um), ("predicted", predicted_um))
     return [("drive", "v", model.inputs, drive_v), *((word, "um", model.outputs, um) for word, um in paths)]
 
@@ -231,7 +233,7 @@ def drive_csv(
     time_s : (sample,) times [s]
     groups : word, unit, names and rows (name, sample) of every group of columns
     statements : lines below the columns
-    tell : told how many rows are written
+    tell : receives the number of rows written so far
 
     Raises
     ------

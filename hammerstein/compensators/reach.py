@@ -19,19 +19,19 @@ from hammerstein.model import HammersteinModel
 
 STROKE_SAMPLES = 50  # of a quarter of a cycle
 BISECTIONS = 40  # part of the reach: 2^-40
-MISSED_UM = 1e-6  # rounding of a path that is reached
-MISSED_SHARE = 0.01  # of what the worst output is missed by; those that are missed by less are not named
+MISSED_UM = 1e-6  # rounding error of a path within reach
+MISSED_SHARE = 0.01  # of the largest error; outputs with less are not named
 ROUGH_BISECTIONS = 14
-"""Of a law without inverse, which is slow and leaves more than a finer search would find."""
+"""Bisections with a law without inverse, which is slow; its error exceeds that of a finer search."""
 PASSES = 4
-"""Passes of the law around the plays."""
+"""Iterations of that law per sample."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
     """Positions that slow paths can reach repeatedly, relative to the initial position.
 
-    alone_um : (p, 2) lowest and highest position of each output while the others stand in their middle
+    alone_um : (p, 2) lowest and highest position of each output while the others are at mid-range
     together_um : (p, 2) the same for all outputs at once, in the proportion of ``alone_um``
     """
 
@@ -39,7 +39,7 @@ class Reach:
     together_um: Array
 
     def statement(self, names: Sequence[str]) -> str:
-        """Say the reach of each output and of all together."""
+        """State the reach of each output and of all together."""
 
         def told(ends_um: Array) -> str:
             each = zip(names, np.where(np.abs(ends_um) < MISSED_UM, 0.0, ends_um), strict=True)  # 0: rounding
@@ -55,14 +55,14 @@ class Reach:
 
 
 def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = False) -> Reach:
-    """Reach of the static block: what its hysteresis loop between the ends of a drive range can do.
+    """Reach of the static block within a drive range.
 
-    The middle between the tips of the loop is found by driving the model from its start once to the ends of
-    the range and back. About it the exact inverse is driven to and fro until it stands at the range; so
-    what a cross-coupling takes away is counted. Of a kind without exact inverse it is the paper's law, in
-    several passes. Dynamics with hysteresis in their loop have the gains of slow loops. Others are left
-    out: at low frequency the displacement is that of the static block, near a resonance the drive reaches
-    further.
+    The model is driven once to both ends of the range and back, which gives the centre of its loop. About
+    this centre, the exact inverse alternates with growing amplitude until it reaches the range, which
+    includes losses by cross-coupling. Kinds without exact inverse use the paper's law with several
+    iterations. Dynamics with hysteresis in their loop use the gains of slow loops. Other dynamics are
+    ignored: at low frequency, the static block determines the displacement; near a resonance, the reach is
+    larger.
 
     Parameters
     ----------
@@ -159,10 +159,10 @@ class Shortfall:
     """Predicted deviation of a drive from its path.
 
     predicted_um, error_um : (p, N) position and its distance from the path [um]
-    at_range : (m, N) where the drive stands at its range; limits : that range
-    at_low : (m,) whether it stands at the lower end more often
+    at_range : (m, N) whether the drive is at its range; limits : that range
+    at_low : (m,) whether it is at the lower end more often
     sample_time_s : time between samples [s]
-    turn : output and sample where the path changes its velocity most
+    turn : output and sample with the largest change of velocity
     """
 
     predicted_um: Array
@@ -216,9 +216,9 @@ def shortfall(
     Parameters
     ----------
     model : the model that the law was built from, dynamics included
-    law : the law that gave the drive; a delay it states (``delay_samples``) is not counted as an error
-    reference_um : (p, N) path, counted from where the actuator stands [um]
-    asked_v : (m, N) what the law gave [V]
+    law : the law of the drive; a delay that it states (``delay_samples``) is no error
+    reference_um : (p, N) path, relative to the initial position [um]
+    asked_v : (m, N) voltages of the law [V]
     sample_time_s : of the drive
     sent_v : (m, N) the same on the steps of the converter; the same if not given
     """

@@ -1,4 +1,4 @@
-"""Wave tables: one settled period in the form that an amplifier or a waveform generator loads.
+"""Wave tables: one settled period in the format of an amplifier or a waveform generator.
 
 Sources of formats and limits:
 
@@ -8,7 +8,7 @@ Sources of formats and limits:
 * piezosystem jena, ``nv200-python-lib`` (2025): the NV200's generator holds up to 1024 samples, each for a
   multiple of 50 us.
 
-No device was at hand: what one does with a table was not tried.
+The tables were not tried on a device.
 """
 
 from dataclasses import dataclass, replace
@@ -64,12 +64,12 @@ class WaveTable:
 
     @property
     def points(self) -> int:
-        """How many points a table has."""
+        """Number of points of a table."""
         return int(self.volts.shape[1])
 
     @property
     def point_s(self) -> float:
-        """Time for which a point is held [s]."""
+        """Duration of a point [s]."""
         return self.hold * self.cycle.sample_time_s
 
     def numbers(self) -> Array:
@@ -78,10 +78,10 @@ class WaveTable:
         return np.asarray(np.round(factor * self.volts + offset, DEVICES[self.device].digits))
 
     def statements(self) -> list[str]:
-        """Say what the table is, what it adds to the error, and what is not known."""
+        """Describe the table, the error that it adds, and open questions."""
         own, held, written = self.errors_um
         device = DEVICES[self.device]
-        what = "Rms change that the points make" if self.cycle.learnt else "Rms error of the position"
+        what = "Rms error added by the table" if self.cycle.learnt else "Rms error of the position"
         said = [
             f"{device.what[0].upper()}{device.what[1:]}: {self.points} points of {self.point_s:.6g} "
             f"s, one column for each input. Number in the table = {self.scale[0]:g} x V + "

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hammerstein.blocks.block_system import Packing
 
 MOST_FACTORS = 3
-"""A product of three signals is the highest term of a cubic."""
+"""Highest order of a product."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +43,11 @@ class InputProducts(ByValue):
 
     @classmethod
     def none(cls, inputs: int, outputs: int) -> InputProducts:
-        """No product of so many z for so many w."""
+        """No products, for given numbers of z and w."""
         return cls(np.zeros((outputs, 0)), np.ones(inputs), np.zeros((0, MOST_FACTORS), dtype=np.int64))
 
     def at(self, z: Array) -> Array:
-        """What they add to w (q,) or (q, sample) at z (h,) or (h, sample)."""
+        """Contribution to w (q,) or (q, sample) for z (h,) or (h, sample)."""
         part = np.clip((z.T / self.limit).T, -1.0, 1.0)
         each = np.prod(np.concatenate([part, np.ones_like(part[:1])])[self.factors], axis=1)
         return times(self.weights, each)
@@ -61,7 +61,7 @@ class ProductFile(Strict):
 
 
 class ProductsFile(Strict):
-    """Products beside the hysteresis in a loop, and the inputs up to which they grow."""
+    """Products in parallel to the hysteresis in a loop, and their saturation limits."""
 
     limits: tuple[Annotated[Entry, Field(gt=0.0)], ...]
     terms: Annotated[tuple[ProductFile, ...], Field(min_length=1)]
@@ -74,7 +74,7 @@ class ProductsFile(Strict):
 
     @classmethod
     def of(cls, products: InputProducts) -> ProductsFile | None:
-        """Return the form of some products in a file; None if there is none."""
+        """File form of products; None if there are none."""
         if not len(products.factors):
             return None
         h = len(products.limit)
@@ -93,7 +93,7 @@ class ProductsFile(Strict):
 
 
 TURNS_OF_SIZES = 50
-"""Turns in which the sizes of z and the gains that follow from them are found."""
+"""Iterations for the amplitudes of z and their gains."""
 LEAST_SIZE = 1e-9
 """Smallest size of a z, as a part of the input: its gain is that of small loops."""
 
@@ -154,7 +154,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
         return f"FeedbackBlock(order {len(self.A)}, {self.hysteresis.describe()} in the loop)"
 
     def with_gain(self, gain: Array) -> LinearBlock:
-        """Give the linear block with a gain (q, h) in place of Gamma."""
+        """Return the linear block with a gain (q, h) instead of Gamma."""
         both = self.beside(gain)
         return LinearBlock(both.A, both.B[:, : self.n_inputs], self.C, self.D, self.sample_time_s)
 
@@ -170,7 +170,7 @@ class FeedbackBlock(SteppedBlock, ByValue):
 
     @property
     def moves(self) -> int:
-        """How often Gamma moves in a sample."""
+        """Number of moves of Gamma per sample."""
         return 1 + bool(len(self.H))
 
     @property

@@ -8,7 +8,7 @@ from hammerstein.hysteresis.loop_kernels import add_outputs
 
 @compiled()
 def respond_loop(start, column, value, push, gamma, limit, factors, K, x, u, first, end, y):  # type: ignore[no-untyped-def]
-    """z, x[k+1], y[k] = [[F, G, H], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w what Gamma makes of z.
+    """z, x[k+1], y[k] = [[F, G, H], [A, B, E], [C, D, 0]] (x[k], u[k], w[k]), w = Gamma(z).
 
     Its parts are compiled into it: a call of each would take a third longer.
 

@@ -1,4 +1,4 @@
-"""A linear block on one sample grid, and how one in continuous time comes onto it."""
+"""Linear block on one sample grid, and discretisation of continuous blocks."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def low_pass(bandwidth_hz: float, n: int) -> LinearBlock:
 
 
 def unit_gain(n: int) -> LinearBlock:
-    """N channels that pass unchanged."""
+    """Unit gain of n channels."""
     return LinearBlock(np.empty((0, 0)), np.empty((0, n)), np.empty((n, 0)), np.eye(n), CONTINUOUS)
 
 
 class SteppedBlock(ABC):
-    """What all blocks on a sample grid share: one run of the compiled loop, batch or sample by sample."""
+    """Base class of blocks on a sample grid: one compiled loop for batches and single samples."""
 
     called: ClassVar[str]
     """Its name in a message."""
@@ -51,11 +51,11 @@ class SteppedBlock(ABC):
 
     @abstractmethod
     def rest(self) -> Array:
-        """State of a block that was never driven."""
+        """State of a block at rest."""
 
     @abstractmethod
     def carry_on(self, v_um: Array, state: Array, first: int, stop: int, y_um: Array) -> None:
-        """Put outputs into y_um (p, sample) from one sample up to another; ``state`` is moved on."""
+        """Write outputs into y_um (p, sample) for a range of samples; ``state`` is updated."""
 
     @property
     def n_inputs(self) -> int:
@@ -171,7 +171,7 @@ class LinearBlock(SteppedBlock, ByValue):
         return LinearBlock(a, b, c, self.D @ first.D, self.sample_time_s)
 
     def then(self, rest: LinearBlock, sample_time_s: float) -> LinearBlock:
-        """Give one sample that begins with this block's step by the last input and ends with the other's."""
+        """Combine into one sample: this block's step with the last input, then the step of the other."""
         n, m = self.B.shape
         a = np.block([[np.zeros((m, m + n))], [rest.A @ self.B, rest.A @ self.A]])
         b = np.vstack([np.eye(m), rest.B])
@@ -189,11 +189,11 @@ class LinearBlock(SteppedBlock, ByValue):
         return np.asarray(np.abs(gain[1:] @ np.linalg.inv(gain[0]) - np.eye(len(gain[0]))).max(axis=(1, 2)))
 
     def rest(self) -> Array:
-        """State (n,) of a block that was never driven."""
+        """State (n,) of a block at rest."""
         return np.zeros(self.A.shape[0])
 
     def settled(self, v_um: ArrayLike) -> Array:
-        """State (n,) after an input (m,) that was held for ever; nearest to zero where there is no rest."""
+        """Settled state (n,) for a constant input (m,); the one nearest to zero if not unique."""
         n = self.A.shape[0]
         held = self.B @ np.asarray(v_um, dtype=np.float64)
         if not held.any():
@@ -209,7 +209,7 @@ class LinearBlock(SteppedBlock, ByValue):
 
     @cached_property
     def entries(self) -> tuple[Indices, Indices, Array]:
-        """Non-zero entries of [[A, B], [C, D]] row by row: axes that do not couple cost nothing."""
+        """Non-zero entries of [[A, B], [C, D]] row by row, which makes uncoupled axes fast."""
         return entries_of(np.block([[self.A, self.B], [self.C, self.D]]))
 
     def response(self, frequency_hz: ArrayLike) -> Complex:

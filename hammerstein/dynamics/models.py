@@ -1,4 +1,4 @@
-"""Linear dynamics of the actuator: the only door to python-control.
+"""Dynamics of the actuator; the only module that uses python-control.
 
 Resonant axes, creep, state-space blocks, and their exact discretisation under a zero-order hold.
 """

@@ -118,7 +118,7 @@ def _one(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
 
 @compiled()
 def respond_paths(a, b, c, d, x, v, y):  # type: ignore[no-untyped-def]
-    """Several paths of one input, four side by side; each as in ``respond_copies``.
+    """Several paths of one input, four at a time; each as in ``respond_copies``.
 
     a : (group, n, n, 4); b, c : (group, n, 4); d : (group, 4); x : (group, n, 4) states, updated in place
     v : (N,) input; y : (4 groups, N) outputs, overwritten

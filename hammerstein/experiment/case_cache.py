@@ -1,4 +1,4 @@
-"""Cases of a run that are worked out once: what was found is kept under a key of all that it depends on."""
+"""Cache of cases: results are stored under a key of everything that they depend on."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -17,11 +17,11 @@ from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.signals import FromFile
 
 NUMBERS_NOT = {"label", "identification", "model", "only_at_hz"}
-"""Keys of a compensator that choose its model or name it; the model itself is a part of the key."""
+"""Options of a compensator that only select or name its model; the key contains the model itself."""
 
 
 class CaseCache:
-    """Results of the cases of one set-up, from the store where they are there.
+    """Results of the cases of one set-up, from the store if present.
 
     setup : what is run
     store : where results are kept; None where nothing is
@@ -35,7 +35,7 @@ class CaseCache:
         self.setup, self.store, self.jobs, self.progress = setup, store, jobs, progress
 
     def results(self, cases: Sequence[Case]) -> list[Result]:
-        """Rows and traces of cases; what the store has not is worked out side by side, and kept at once."""
+        """Rows and traces of cases. Missing cases are computed in parallel and stored immediately."""
         kept = {i: entry for i, case in enumerate(cases) if (entry := self.read(case, "case")) is not None}
         found = {i: _restored(self.setup, cases[i], entry) for i, entry in kept.items()}
         left = [i for i in range(len(cases)) if i not in found]
@@ -52,11 +52,11 @@ class CaseCache:
         return [found[i] for i in range(len(cases))]
 
     def read(self, case: Case, kind: str, more: Any = None) -> Kept | None:
-        """What was kept of something that follows from a case and from ``more``, if it was."""
+        """Stored result that depends on a case and on ``more``, if there is one."""
         return None if self.store is None else self.store.read(self._key(case, kind, more))
 
     def write(self, entry: Kept, case: Case, kind: str, more: Any = None) -> None:
-        """Keep that, where there is a store."""
+        """Store such a result, if there is a store."""
         if self.store is not None:
             self.store.write(self._key(case, kind, more), entry)
 

@@ -1,4 +1,4 @@
-"""A run repeated on many actuators: pieces of them side by side, each kept, memory that of the figures."""
+"""A run repeated on many actuators: parallel batches, each stored, with memory for the figures alone."""
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -26,7 +26,7 @@ TOGETHER = 25  # actuators that are worked out, and kept, in one piece
 
 @dataclass(frozen=True, eq=False)
 class Actuators:
-    """Many actuators near the nominal one, in a form that another process can use.
+    """Many actuators near the nominal one, in a form for other processes.
 
     what : description for a person who watches
     key : everything that tells them from others, as plain JSON; how many there are does not count
@@ -52,7 +52,7 @@ class Figures(NamedTuple):
 
 
 def drawn_metrics() -> list[str]:
-    """Names of the figures that are found on every actuator."""
+    """Names of the figures that are computed on every actuator."""
     return [metric.name for metric in metrics_of() if metric.drawn]
 
 
@@ -132,7 +132,7 @@ def _known(kept: CaseCache, runs: Sequence[_Run], numbers: range) -> list[Figure
 
 SEED_STEP = 7919  # keeps the noise of one draw apart from that of another scenario's seed
 NO_PART = {"draws", "sensitivity"}
-"""Keys of an uncertainty that change no draw."""
+"""Keys of an uncertainty without effect on a draw."""
 
 
 def _drawn(uncertainty: Uncertainty, nominal: Plant, seed: int, number: int) -> tuple[Plant, int]:
@@ -168,7 +168,7 @@ LEAST_SPREAD = 1e-9  # standard deviation in parts of the mean; less is rounding
 
 
 def evaluations(samples: int, parameters: int) -> int:
-    """Actuators that are run in every case: (d + 2) n."""
+    """Number of actuators per case: (d + 2) n."""
     return (parameters + 2) * samples
 
 

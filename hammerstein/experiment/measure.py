@@ -52,7 +52,7 @@ def recorded(setup: SetUp, case: Case) -> tuple[Response, Sequence[Target]]:
 def targets_of(
     setup: SetUp, case: Case, response: Response, start: Mapping[str, PredictionState] | None = None
 ) -> tuple[Sequence[Target], Mapping[str, PredictionState]]:
-    """What a response is compared with, if anything, and the memory of the models after it."""
+    """Targets of a response, if any, and the memory of the models after it."""
     if response.reference_um is not None:
         return [Target(case.label, response.reference_um, response.reference_um)], {}
     found: list[Target] = []
@@ -137,7 +137,7 @@ def _repeats(position: Array, start: int, cycles: int, samples: float) -> bool:
 
 
 def advice(setup: SetUp, case: Case) -> str:
-    """Advice for a run that has not settled: a longer wait, or the reason why it does not help.
+    """Advice for a run that has not settled: a longer wait, or the reason why that does not help.
 
     The run is done again with 2 and with 20 times as many cycles before the measurement.
     """
@@ -182,7 +182,7 @@ FAR_ITSELF = (
 
 
 class Result(NamedTuple):
-    """Rows of one case, its measured trace, what to do if it had not settled, and samples that are cut.
+    """Rows of one case, its measured trace, advice if it had not settled, and clipped samples.
 
     unsettled : empty if it had; clipped : samples at the sensor's range
     """
@@ -231,7 +231,7 @@ def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
 
 
 def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
-    """Rows of one case with the figures alone of which an uncertain actuator gives a band."""
+    """Rows of one case with only those figures that have a band for an uncertain actuator."""
     drawn = [metric for metric in metrics_of() if metric.drawn]
     return tuple(_rows(setup, case, response, targets_of(setup, case, response)[0], drawn))
 
@@ -285,7 +285,7 @@ def _key(setup: SetUp, case: Case) -> dict[str, Any]:
 
 
 def empty_rows_of(setup: SetUp, case: Case) -> list[Row]:
-    """The rows that a case will give, as yet without figures."""
+    """Rows of a case, still without figures."""
     labels = [source.label for source in setup.scenario.models] or [""]
     key = _key(setup, case)
     return [

@@ -1,4 +1,4 @@
-"""How large a scenario is, found out before it starts: memory and time of each of its parts."""
+"""Memory and time of each part of a scenario, estimated before it starts."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ TRIED_SAMPLES = 2000  # of a law that plugs in; a call takes as long as hundreds
 TAPS = 13.5  # of a reference filter of half the sample rate
 TOLD_S = 60.0
 LONG_S = 600.0
-"""What takes longer waits for a yes where a person watches."""
+"""Duration from which an interactive run asks for confirmation [s]."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that a scenario will do."""
+    """Plan of a scenario."""
 
     parts: tuple[Part, ...]
 
@@ -97,11 +97,11 @@ class Plan:
 
     @property
     def kept(self) -> set[Hashable]:
-        """Results that come out and are kept."""
+        """Results that are stored."""
         return {part.once for part in self.parts} - {None}
 
     def without(self, kept: Set[Hashable]) -> Plan:
-        """Rest of the work if others provide these results."""
+        """Remaining work if these results are provided."""
         return Plan(tuple(part for part in self.parts if part.once not in kept))
 
     def refuse_too_large(self) -> None:
@@ -138,7 +138,7 @@ def plans_of(scenarios: Mapping[str, Scenario]) -> dict[str, Plan]:
 
 
 def longest_first(plans: Mapping[str, Plan]) -> list[str]:
-    """Names of plans, the longest first, so that no long one runs alone at the end.
+    """Names of plans, longest first, so that no long one runs alone at the end.
 
     An identification that several plans share counts for the first of them, so that it is not done twice in
     parallel.
@@ -159,7 +159,7 @@ def longest_first(plans: Mapping[str, Plan]) -> list[str]:
 
 
 def together(plans: Iterable[Plan]) -> Plan:
-    """All parts of several plans; what is kept is done by the first that needs it."""
+    """All parts of several plans; the first one that needs a stored result computes it."""
     parts, kept = list[Part](), set[Hashable]()
     for plan in plans:
         parts += plan.without(kept).parts
@@ -168,7 +168,7 @@ def together(plans: Iterable[Plan]) -> Plan:
 
 
 def jobs_that_fit(plans: Iterable[Plan], jobs: int) -> int:
-    """How many of the plans fit the memory side by side, up to so many jobs, and one at least."""
+    """Number of plans that fit the memory in parallel, at least 1, at most the number of jobs."""
     free = free_bytes()
     sizes = list(itertools.accumulate(sorted((plan.bytes for plan in plans), reverse=True)))
     return max(1, jobs - sum(size > free for size in sizes[:jobs]))
@@ -191,7 +191,7 @@ def plan_of(scenario: Scenario, jobs: int = 1, timed: bool = True) -> Plan:
 
 @cache
 def slowness() -> float:
-    """How many times as long this processor takes as the one that the times above are of: a quick trial."""
+    """Run time relative to the processor of the times above, by a quick trial."""
 
     def work() -> int:
         """Python's own, in which all short runs spend most of their time."""
@@ -201,7 +201,7 @@ def slowness() -> float:
 
 
 def experiments_of(scenario: Scenario) -> set[Hashable]:
-    """Identification experiments of a scenario; what is equal here is done once and kept."""
+    """Identification experiments of a scenario; equal ones are done once and stored."""
     return {part.once for part in identification_parts(scenario, plant_of(scenario))}
 
 

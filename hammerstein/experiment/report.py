@@ -26,14 +26,14 @@ FORMAT = "hammerstein-report/1"
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a run (axis, sample) [um] is compared with: a reference, or the prediction of a model."""
+    """Target of a run (axis, sample) [um]: a reference, or the prediction of a model."""
 
     label: str
     reading_um: Array
     position_um: Array
 
     def part(self, samples: slice) -> Target:
-        """Return some of the samples."""
+        """Return a part of the samples."""
         return Target(self.label, self.reading_um[:, samples], self.position_um[:, samples])
 
 
@@ -48,7 +48,7 @@ class Band(Keyed):
 
 
 TOO_FEW = "too few draws"
-"""For sensitivity indices to mean something."""
+"""Fewest draws for sensitivity indices."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class Sensitivity(Keyed):
 
     @property
     def is_estimated(self) -> bool:
-        """Whether there were enough draws: no parameter does more alone than together with others."""
+        """Whether there were enough draws: no first-order index exceeds the total index."""
         return self.first <= self.total
 
 
@@ -126,13 +126,13 @@ class Report(NotebookRepr):
 
     @property
     def reading_first(self) -> bool:
-        """Whether its assessment is about what the sensor reads."""
+        """Whether its assessment is about the sensor's readings."""
         asked = self.scenario.assessment
         return asked is not None and asked.reading_first
 
     @property
     def signal(self) -> str:
-        """Kind of the signal, as it is written in a sentence."""
+        """Kind of the signal, for a sentence."""
         return self.scenario.signal.kind.replace("lissajous", "Lissajous")
 
     @property
@@ -141,7 +141,7 @@ class Report(NotebookRepr):
         return self.instruments.sensor == Instruments.ideal().sensor
 
     def without_traces(self) -> Report:
-        """Return the report without its traces, as small as its file."""
+        """Return the report without its traces."""
         return replace(self, traces=())
 
     def to_frame(self) -> pd.DataFrame:
@@ -190,7 +190,7 @@ TINY = 1e-6  # um; smaller values are rounding errors
 
 @dataclass(frozen=True, order=True)
 class Condition:
-    """Frequency and amplitude of one run, None for a signal that names none; and its trial, if it has one."""
+    """Frequency and amplitude of one run, None if the signal has none; and its trial, if any."""
 
     frequency_hz: float
     amplitude: float | None
@@ -204,28 +204,28 @@ class Condition:
         return cls(row.frequency_hz, *size, row.trial)
 
     def only(self, parts: Collection[str]) -> Condition:
-        """Give it without its other parts."""
+        """Return the condition with only some parts."""
         f, a, n = (getattr(self, part) if part in parts else None for part in PARTS)
         return Condition(f or 0.0, a, self.unit, n)
 
     def words(self) -> str:
-        """Say it: ``50 Hz, 10 V``."""
+        """Text such as ``50 Hz, 10 V``."""
         frequency = [f"{self.frequency_hz:g} Hz"] if self.frequency_hz else []
         amplitude = [] if self.amplitude is None else [f"{self.amplitude:g} {self.unit}"]
         return ", ".join(frequency + amplitude + ([] if self.trial is None else [f"trial {self.trial}"]))
 
 
 PARTS = ("frequency_hz", "amplitude", "trial")
-"""Of a condition."""
+"""Parts of a condition."""
 
 
 def differing(conditions: Collection[Condition]) -> list[str]:
-    """Those parts that are not equal in all of them."""
+    """Parts that differ between conditions."""
     return [part for part in PARTS if len({getattr(condition, part) for condition in conditions}) > 1]
 
 
 def told_apart(conditions: Sequence[Condition]) -> dict[Condition, str]:
-    """Words for each condition, without the part that is equal in all of them.
+    """Text for each condition, without the parts that are equal in all of them.
 
     >>> list(told_apart([Condition(50.0, 10.0, "V"), Condition(50.0, 5.0, "V")]).values())
     ['10 V', '5 V']
@@ -245,13 +245,13 @@ def is_path(report: Report) -> bool:
 
 
 def banded_metric(report: Report) -> tuple[str, str]:
-    """Figure for which the spread of random actuators is reported, and its name."""
+    """Figure with a reported spread over random actuators, and its name."""
     path = is_path(report) and len(report.axes) > 1
     return ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
 
 
 def is_direct(report: Report, row: Row) -> bool:
-    """Whether a row is of an axis that was driven itself."""
+    """Whether the axis of a row was driven itself."""
     if row.excited_axis == "all":
         return True
     driven = report.inputs if report.scenario.drive is not None else report.axes
@@ -259,7 +259,7 @@ def is_direct(report: Report, row: Row) -> bool:
 
 
 def identified_at(report: Report) -> dict[str, float]:
-    """Frequency at which each compensator's or model's hysteresis was identified, where there is one."""
+    """Frequency at which each compensator's or model's hysteresis was identified, if there is one."""
     sources = (*report.scenario.compensators, *report.scenario.models)
     found = {source.label: getattr(source.identification, "frequency_hz", None) for source in sources}
     return {label: frequency for label, frequency in found.items() if frequency is not None}
@@ -275,13 +275,13 @@ def operators_of(report: Report) -> dict[str, int]:
 
 
 def largest(rows: Iterable[Row], name: str) -> float | None:
-    """Largest value of a figure; None where no row has it."""
+    """Largest value of a figure; None if no row has it."""
     values = [value for row in rows if (value := getattr(row, name)) is not None]
     return max(values) if values else None
 
 
 def significant(value: float) -> str:
-    """Write a number with three digits that count, trailing zeros included.
+    """Text of a number with three significant digits, trailing zeros included.
 
     >>> significant(8.0), significant(0.04567), significant(1234.4), significant(1.11e-16)
     ('8.00', '0.0457', '1234', '< 1e-6')
@@ -294,17 +294,17 @@ def significant(value: float) -> str:
 
 
 def number(value: float | None) -> str:
-    """Three digits that count; empty without a value."""
+    """Text with three significant digits; empty without a value."""
     return "" if value is None or math.isnan(value) else significant(value)
 
 
 def spread(band: Band) -> str:
-    """Write a band as its median, and its ends in brackets."""
+    """Text of a band: median, and ends in brackets."""
     return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
 
 
 def percent(share: float) -> str:
-    """Write a part in percent with two digits that count, and never an exponent.
+    """Text of a fraction in percent with two significant digits, without exponent.
 
     >>> percent(0.0378), percent(0.996), percent(1.024), percent(1e-16)
     ('3.8 %', '100 %', '102 %', '< 0.0001 %')

@@ -1,4 +1,4 @@
-"""From a scenario to its report: simulate every case, measure it, gather the rows.
+"""From a scenario to its report: simulate and measure every case, collect the rows.
 
 reference -> compensator -> drive -> hysteresis -> dynamics -> sensor      = one Response, with all signals
 """
@@ -176,7 +176,7 @@ def run(
 
 @one_blas_thread()
 def rows_alone(scenario: Scenario, name: str) -> tuple[Row, ...]:
-    """Rows of a run, one for each case and measured axis, without what its report says about them.
+    """Rows of a run, one for each case and measured axis, without statements.
 
     Raises as ``run`` does.
     """
@@ -211,7 +211,7 @@ def _rows_in(results: Iterable[Result]) -> tuple[Row, ...]:
 
 
 Finish = Callable[[Report], tuple[Path, ...]]
-"""What is done with each report; it gives the places of files that were kept under another name."""
+"""Function that receives each report; returns places of files that were kept under another name."""
 
 
 class Outcome(NamedTuple):
@@ -229,7 +229,7 @@ class Outcome(NamedTuple):
 
 
 def find_scenarios(paths: Sequence[Path]) -> list[Path]:
-    """Scenario files named, or found in the folders named, in order of their names.
+    """Scenario files from given files and folders, in order of their names.
 
     Raises InputError where a path does not exist, a folder holds none, or two have one name.
     """
@@ -253,7 +253,7 @@ def find_scenarios(paths: Sequence[Path]) -> list[Path]:
 
 
 def load_all(paths: Sequence[Path]) -> dict[str, Scenario]:
-    """Scenarios by name; every file is checked before any is run, and all mistakes are told at once."""
+    """Scenarios by name; all files are checked before a run, and all mistakes are reported together."""
     files = find_scenarios(paths)
     scenarios = all_of(load_scenario, files, "scenario files")
     return {file.stem: scenario for file, scenario in zip(files, scenarios, strict=True)}

@@ -1,4 +1,4 @@
-"""What a case of a scenario is made of: actuator, identified models, laws and signals."""
+"""Set-up of the cases of a scenario: actuator, identified models, laws and signals."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from hammerstein.signals.units import Kind
 AnyLaw = Law[Any] | Controller[Any] | Learner
 Progress = Callable[[str, int, int], None]
 Experiment = Callable[[Plant, int], Response]
-"""From an actuator and a seed to its response, from rest."""
+"""Function from an actuator and a seed to its response, from rest."""
 
 LAW_BLOCK = 8 * BLOCK  # a law works more on a sample than memory does, and has more to do for each part
 REACH_POINTS = 5000  # enough to find the largest value of a path
@@ -40,7 +40,7 @@ REACH_POINTS = 5000  # enough to find the largest value of a path
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One run of a scenario: a signal, the axis it excites (None: all), and the label of what is tested.
+    """One run of a scenario: a signal, its axis (None: all), and the label of the tested source.
 
     trial : trial of a compensator that learns; None: the one in its options
     position : of the signal and of the compensator in the scenario, counted from 1
@@ -53,7 +53,7 @@ class Case:
     position: tuple[int, int] = (1, 1)
 
     def seed(self, scenario_seed: int) -> list[int]:
-        """Seed of the sensor's noise: of the scenario's and the position of the case in it.
+        """Seed of the sensor's noise, from the scenario's seed and the position of the case.
 
         It is the same for all trials, and no name is a part of it.
         """
@@ -61,7 +61,7 @@ class Case:
 
 
 class Window(NamedTuple):
-    """Samples of a run: from ``first`` on they are measured."""
+    """Samples of a run; measurement begins at ``first``."""
 
     first: int
     total: int
@@ -81,7 +81,7 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SetUp:
-    """Everything a scenario needs before its first case: the plant, the models and the laws."""
+    """Actuator, models and laws of a scenario."""
 
     scenario: Scenario
     plant: Plant
@@ -94,7 +94,7 @@ class SetUp:
         return scenario_axes(self.scenario, self.plant.model)
 
     def excited_axis(self, case: Case) -> str:
-        """Name of the axis that a case excites; ``all`` where they are driven together."""
+        """Name of the axis that a case excites; ``all`` if they are driven together."""
         return "all" if case.axis is None else self.axes[case.axis]
 
     def cases(self) -> Iterator[Case]:
@@ -111,7 +111,7 @@ class SetUp:
 
     @cached_property
     def ilc_runs(self) -> IlcRuns:
-        """Trials that were done, of compensators that learn: each goes on from the one before."""
+        """Completed trials of learning compensators; each continues the previous one."""
         return IlcRuns()
 
     def simulate(self, case: Case) -> Response:
@@ -122,7 +122,7 @@ class SetUp:
         return self.experiment(case)(self.plant, self.scenario.seed)
 
     def experiment(self, case: Case) -> Experiment:
-        """What is done to an actuator in one case.
+        """Experiment of one case on an actuator.
 
         The voltages of a law without feedback are worked out once, for any number of actuators.
         """
@@ -175,12 +175,12 @@ class SetUp:
         return experiment
 
     def runs_on(self, case: Case) -> bool:
-        """Whether a case can be simulated piece by piece: no law that looks ahead, reads or learns."""
+        """Whether a case can be simulated in blocks: its law has no preview, feedback or learning."""
         law = None if self.scenario.drive is not None else self.laws[case.label]
         return law is None or (isinstance(law, Law) and not law.preview_samples)
 
     def blocks(self, case: Case, samples: int) -> Iterator[Response]:
-        """Response of one case, part by part: for runs that do not fit the memory.
+        """Response of one case in blocks, for runs that do not fit the memory.
 
         Raises InputError where the law knows the reference ahead or reads the sensor.
         """
@@ -238,7 +238,7 @@ def scenario_axes(scenario: Scenario, model: HammersteinModel) -> tuple[str, ...
 
 
 def driven_axes(scenario: Scenario, n_axes: int) -> Sequence[int | None]:
-    """Axis of each case: every one in turn, the one that is named, or None for all together."""
+    """Axis of each case: every one in turn, a named one, or None for all together."""
     signal = scenario.signal
     if not isinstance(signal, OnAxes) or signal.axis == "all":
         return [None]
@@ -281,7 +281,7 @@ def set_up(
 
 
 def plant_of(scenario: Scenario, model: HammersteinModel | None = None) -> Plant:
-    """The actuator of a scenario on its set-up; InputError where its file is wrong."""
+    """Actuator of a scenario with its instruments; InputError if its file is wrong."""
     model = model or loaded(str(scenario.actuator))
     own = model.instruments.model_dump()
     given = scenario.instruments.model_dump(exclude_unset=True)
@@ -290,16 +290,16 @@ def plant_of(scenario: Scenario, model: HammersteinModel | None = None) -> Plant
 
 
 def loaded(path: str) -> HammersteinModel:
-    """Model in a file, or a packaged one; InputError where the file is wrong."""
+    """Model from a file, or a packaged one; InputError if the file is wrong."""
     return _model_of(model_text(path), path)
 
 
 _model_of = lru_cache(maxsize=16)(HammersteinModel.from_json)
-"""Model from its text: the runs of a study read the same file thousands of times."""
+"""Cached model from its text: the runs of a study read the same file thousands of times."""
 
 
 def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant) -> AnyLaw:
-    """A law for the instruments of the scenario, whatever those that its model was found with.
+    """Law for the instruments of the scenario, not for those of its model's identification.
 
     Raises InputError or SimulationError where the law does not fit the model or the sample time.
     """

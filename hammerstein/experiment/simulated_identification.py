@@ -38,7 +38,7 @@ WHOLE = 1e-6  # samples that a period may miss a whole number by
 
 
 def whole_period(samples: float, label: str) -> int:
-    """Samples of a period; InputError where they are no whole number, which no table can hold."""
+    """Samples of a period; InputError if they are no whole number, as a table needs."""
     where = f"compensator {label!r}"
     if not np.isfinite(samples):
         raise InputError(where, "learns from one period to the next, but this path does not repeat")
@@ -53,7 +53,7 @@ def whole_period(samples: float, label: str) -> int:
 
 
 class IlcRun:
-    """The trials of one learner on one actuator.
+    """Trials of one learner on one actuator.
 
     Each trial repeats one period of voltages from rest, for as long as a run of the scenario. The next trial
     learns from the sensor's readings in the measured window.
@@ -79,7 +79,7 @@ class IlcRun:
         self._lock = threading.Lock()
 
     def trial(self, plant: Plant, number: int) -> Response:
-        """Response of a trial, counted from 1; those before it are done where they were not."""
+        """Response of a trial, counted from 1; missing earlier trials are done first."""
         with self._lock:
             while len(self._drives) < number:
                 self._drives.append(self._next(plant))
@@ -105,7 +105,7 @@ class IlcRun:
 
 
 class IlcRuns:
-    """Trials of learning by actuator, as long as there is the actuator."""
+    """Trials of learning by actuator, for the lifetime of the actuator."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -116,7 +116,7 @@ class IlcRuns:
         return IlcRuns, ()
 
     def of(self, plant: Plant, key: Hashable, new: Callable[[], IlcRun]) -> IlcRun:
-        """The run of a key on an actuator; a new one if there is none."""
+        """Run of a key on an actuator; new if there is none."""
         with self._lock:
             ilc_runs = self._found.setdefault(plant, {})
             if key not in ilc_runs:
@@ -126,9 +126,9 @@ class IlcRuns:
 
 LOWEST_LINE_HZ = 5.0  # of the multisine
 REST_SAMPLES = 20
-"""At rest before each record, by which a start at rest is seen."""
+"""Rest before each record, to detect a start from rest."""
 CREEP_SAMPLES = 12_000
-"""Of the slow record: creep is slower than a hundred samples of it."""
+"""Samples of the slow record: creep is slower than a hundred of them."""
 SETTLING, UNSETTLED = (3, 6, 12, 24, 48), 1e-3
 """Periods of a multisine before two that are recorded, until these differ by noise and such a part alone."""
 CREEP_LEVELS = np.array([0.8, -0.6, 0.4, -0.2, 0.6, 0.0])
@@ -142,7 +142,7 @@ def identify_each(
     store: Store | None = None,
     jobs: Jobs = 1,
 ) -> Iterator[HammersteinModel]:
-    """Models of a simulated actuator, each found by driving it one input at a time (paper, section 3.3).
+    """Models of a simulated actuator, identified by driving one input at a time (paper, section 3.3).
 
     The results are kept on disk: the same experiment on the same actuator is not done twice.
 

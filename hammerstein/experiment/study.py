@@ -1,4 +1,4 @@
-"""A scenario run with many other values of its keys; rows go out one after the other, none is held."""
+"""A scenario run with many values of its keys; rows are streamed."""
 
 import json
 import re
@@ -25,7 +25,7 @@ from hammerstein.validation import mistakes_of
 
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([1-9]\d*)\])?")
 LOOKED_AT = 100
-"""Runs whose plans are averaged, of a study that has more."""
+"""Most runs whose plans are averaged."""
 
 
 class Sampled(NamedTuple):
@@ -94,7 +94,7 @@ def sampled(
 
 
 def study_of(scenario: Scenario, name: str) -> Study:
-    """Return the study of a scenario; InputError where there is none."""
+    """Return the study of a scenario; InputError if there is none."""
     if scenario.study is None:
         raise InputError(name, "has no table [study] with the values to run")
     return scenario.study
@@ -187,7 +187,7 @@ def _one(scenario: Scenario, name: str, number: int, values: Mapping[str, float]
 
 
 def varied(scenario: Scenario, values: Mapping[str, float], name: str = "scenario") -> Scenario:
-    """The scenario with other values of some keys, without the parts that a study does not run.
+    """The scenario with other values of some keys, without the parts that a study does not use.
 
     Raises InputError if a key is not a number of the scenario, or if its value is not allowed.
 

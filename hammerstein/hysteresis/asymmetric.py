@@ -45,9 +45,9 @@ from hammerstein.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hammerstein.quantities import Offset, Weight, WeightError
 
 PLAYS = (10, 15, 20, 30, 60)
-"""Numbers of plays of an input that are tried: each grid holds some of the thresholds of the last one."""
+"""Numbers of plays of an input that are tried; each grid is part of the last one."""
 DEAD_ZONES = (0, 1, 2, 3, 5, 7, 11, 23)
-"""Numbers of dead-zones of an input that are tried, in the same way."""
+"""Numbers of dead-zones of an input that are tried; each grid is part of the last one."""
 PLAYS_ALONE = "no dead-zones: this hysteresis is of plays alone"
 """Note on a block without them."""
 SPREAD = ((12, 3), (16, 5))
@@ -55,7 +55,7 @@ SPREAD = ((12, 3), (16, 5))
 SHIFT = 1e-6
 """Change of all places at once for their derivatives, in parts of their range: each moves its own column."""
 BESIDE = 7
-"""Dead-zones beside which the number of plays is found."""
+"""Number of dead-zones while the number of plays is chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ class ZoneLines(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AsymmetricState(Memory):
-    """Memory of an asymmetric model: that of its plays, and the outputs of the smallest play an input.
+    """Memory of an asymmetric model: that of its plays, and the output of the smallest play per input.
 
     plays : memory of the play operators; smallest_v : (m,) where the dead-zones stand [V]
     """
@@ -238,7 +238,7 @@ class Asymmetric(Hysteresis[AsymmetricState], Identifiable):
         return frozen(np.where(bank.n > 0, bank.r[:, 0], 0.0))
 
     def counted_from(self, working_point_v: ArrayLike) -> Asymmetric:
-        """Return the same hysteresis for voltages relative to another working point (m,) [V]."""
+        """Return the hysteresis relative to another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
     @property

@@ -1,4 +1,4 @@
-"""The multivariable classical Bouc-Wen model: a straight line less a signal that lags behind the voltage."""
+"""The multivariable classical Bouc-Wen model: a line minus a hysteretic signal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hammerstein.hysteresis.pair import WeightCovariance, refuse_other_sizes
 from hammerstein.quantities import PerVolt, Weight
 
 FIRST_RATES, FIRST_SHARES = (0.5, 2.0, 8.0), (0.35, 1.0, 2.5)
-"""Rate beta + gamma to begin a fit with, in parts of one over half the swing, and the share of beta in it."""
+"""Initial beta + gamma of a fit, in parts of one over half the swing, and the share of beta in it."""
 RATES, SHARES = (1e-2, 1e3), (1e-3, 1e3)
 """Least and largest of both: beyond, the loop is a line, or it bends within a thousandth of the swing."""
 
@@ -39,7 +39,7 @@ LEAST_LOAD = 1e-12  # of beta: a smaller beta + gamma is rounding
 
 @dataclass(frozen=True)
 class BoucWenPair:
-    """How one output responds to one input.
+    """Response of one output to one input.
 
         v = d u - a z,    dz/dt = du/dt - beta |du/dt| z - gamma du/dt |z|
 
@@ -87,7 +87,7 @@ class BoucWenPair:
 
     @property
     def slopes_um_per_v(self) -> tuple[float, float]:
-        """Ends of the slopes that it can have [um/V]: with z at its limit d, and the farthest from that.
+        """Extreme slopes [um/V]: with z at its limit d, and the farthest from that.
 
         dz/du reaches from 0 to 1 while z grows, and to 1 + (beta - gamma) |z| while it falls, which is
         2 beta / (beta + gamma) at most.
@@ -100,7 +100,7 @@ class BoucWenPair:
         return self.direct_um_per_v * amplitude_v - self.hysteretic_um_per_v * self.tip_v(amplitude_v)
 
     def tip_v(self, amplitude_v: float) -> float:
-        """Where z stands at the tip of the settled loop of an amplitude A [V].
+        """Value of z at the tip of the settled loop of an amplitude A [V].
 
         With c = beta + gamma and e = beta - gamma the tip solves
 
@@ -195,12 +195,12 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
 
     @cached_property
     def bank(self) -> Array:
-        """Numbers of all pairs (4, p, m): d, a, and how fast z relaxes while it grows and while it falls."""
+        """Parameters of all pairs (4, p, m): d, a, and the rates of growing and of falling z."""
         names = ("direct_um_per_v", "hysteretic_um_per_v", "load_per_v", "unload_per_v")
         return frozen([[[getattr(pair, name) for pair in row] for row in self.pairs] for name in names])
 
     def rest(self) -> BoucWenState:
-        """Memory of an actuator that was never driven."""
+        """Memory at rest."""
         return BoucWenState(np.zeros((self.n_outputs, self.n_inputs)), np.zeros(self.n_inputs))
 
     def after(self, path_v: Array) -> BoucWenState:
@@ -220,7 +220,7 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
         return Lags((*self.bank, memory.z_v, memory.last_v), np.empty((self.n_outputs, 1)))
 
     def slope_columns(self, k: int) -> Array:
-        """Ends of the slopes of input k (number, output) [um/V], in all combinations; d comes last.
+        """Extreme slopes of input k (number, output) [um/V], in all combinations; d comes last.
 
         Every slope lies between them. A function that is linear in each slope, such as a determinant, is
         therefore largest and smallest at one of these combinations.
@@ -245,7 +245,7 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
 
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[BoucWen]:
-        """Blocks whose pairs all bend alike in parts of the swing; see ``Identifiable``."""
+        """Blocks whose pairs all have the same bend relative to the swing; see ``Identifiable``."""
         driven.refuse_still()
         found = []
         for rate, share in itertools.product(FIRST_RATES, FIRST_SHARES):
@@ -271,7 +271,7 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
         return BoucWen(tuple(tuple(bent(pair) for pair in row) for row in self.pairs))
 
     def limits(self, driven: Driven) -> Limits:
-        """What the swing can show of the bends."""
+        """Range of bends that the swing can identify."""
         each = np.log([[RATES[0], SHARES[0]], [RATES[1], SHARES[1]]])
         scale = np.stack([np.log(driven.half_swing_v), np.zeros(self.n_inputs)], axis=1).ravel()
         lower, upper = (np.tile(end, self.n_inputs) - scale for end in each)
@@ -291,7 +291,7 @@ class BoucWen(OfPairs[BoucWenState], Identifiable):
         return values, held
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
-        """Both ends of the slopes of the pair stay beyond the least one."""
+        """Both extreme slopes of the pair stay above the minimum."""
         size, own = 2 * self.n_inputs, slice(2 * input_, 2 * input_ + 2)
         pair = self.pairs[output][input_]
         steepest = max(1.0, 2.0 * pair.beta_per_v / pair.load_per_v)

@@ -1,4 +1,4 @@
-"""Compiled loop of plays for an input that turns often: it updates every operator in every sample.
+"""Compiled loop of plays for an input with frequent turns: it updates every operator in every sample.
 
 In the turning-point form (``play_kernels``), a turn costs as much as updating fifty operators. An input with
 few operators that turns often therefore uses the *busy form*, the textbook loop
@@ -25,7 +25,7 @@ LOOK, WINDOW = 64, 512
 """Samples after which turns are looked at: few in the turning-point form, for there much is lost where all of
 them turn; more in the busy form, where every window has its own overhead."""
 TURN = 50
-"""What a turn costs, in updates of one operator."""
+"""Cost of a turn, in updates of one operator."""
 GROUP = 5
 """Operators in registers at once."""
 
@@ -33,7 +33,7 @@ SEEN, TURNS, BUSY, RESTED, LAST, BEFORE = range(6)
 """Columns of a window, a row an input: samples and turns since it began, whether the form is the busy one,
 whether operator 0 rested in the last sample, and in the busy form the last two inputs [V]."""
 COLUMNS = 6
-"""How many those are."""
+"""Number of columns."""
 
 
 @helper()

@@ -1,4 +1,4 @@
-"""Describing function of a bank of play operators behind a drive of limited range."""
+"""Describing function of a bank of play operators behind a drive with limited range."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HARMONIC_SAMPLES = 8192
 
 
 def describing_function(pair: Pair, amplitude_v: ArrayLike, range_v: float = np.inf) -> Complex:
-    """Gain of the first harmonic for a sine, cut at the range of the drive and passed through the plays.
+    """First-harmonic gain for a sine, clipped by the range of the drive and passed through the plays.
 
     For u = A sin(t), cut at +-L, the plays see the peak M = min(A, L). With
 
@@ -82,12 +82,12 @@ def _share(x: Array) -> Array:
 
 
 class Describable(ABC):
-    """Ability of a kind that wipes out: the first harmonic of one pair, for python-control."""
+    """Ability of a kind with wiping-out: first harmonic of one pair, for python-control."""
 
     @property
     @abstractmethod
     def reversals_v(self) -> Array:
-        """Voltages by which a way must reverse until operators of the first pair move, sorted [V]."""
+        """Reversals after which operators of the first pair move, sorted [V]."""
 
     def first_harmonic(self, amplitude_v: float, range_v: float) -> complex:
         """Gain of the first harmonic [um/V] of the settled loop of one pair, from its samples.

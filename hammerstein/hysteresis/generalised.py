@@ -1,4 +1,4 @@
-"""Generalised Prandtl-Ishlinskii hysteresis: play operators of an increasing envelope of each voltage."""
+"""Generalised Prandtl-Ishlinskii hysteresis: play operators behind an increasing envelope of each voltage."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Envelope(ByValue):
 
     @property
     def bent(self) -> bool:
-        """Whether it has a tangent."""
+        """Whether it has a hyperbolic tangent."""
         return self.saturating_v > 0.0 and self.steepness_per_v > 0.0
 
     def of(self, u_v: ArrayLike) -> Array:
@@ -128,7 +128,7 @@ class Envelope(ByValue):
         return np.asarray(straight + self._tangent(u) if self.bent else straight)
 
     def at(self, values_v: ArrayLike) -> Array:
-        """Voltages, as they are sent, at which it has some values [V]: the inverse."""
+        """Inverse: absolute voltages for given values [V]."""
         g = np.asarray(values_v, dtype=np.float64)
         if not self.bent:
             return self._straight_at(g)
@@ -147,18 +147,18 @@ class Envelope(ByValue):
 
     @property
     def all_slopes(self) -> Array:
-        """Slopes that it can have: every one lies between the least and the largest of these."""
+        """Possible slopes: every one lies between the smallest and the largest of these."""
         steepest = self.slopes + self.saturating_v * self.steepness_per_v
         return np.concatenate([self.slopes, steepest]) if self.bent else self.slopes
 
     @property
     def n_free(self) -> int:
-        """How many numbers ``free`` has."""
+        """Number of ``free`` parameters."""
         return 2 * (len(self.voltages_v) - 2) + 3 * self.bent
 
     @property
     def free(self) -> Array:
-        """Places of the knots in parts of the range, logarithms of slopes; share, steepness and centre."""
+        """Positions of the knots in parts of the range, logarithms of slopes; share, steepness and centre."""
         low, span = float(self.voltages_v[0]), float(np.ptp(self.voltages_v))
         knots = (self.voltages_v[1:-1] - low) / span
         numbers = [knots, np.log(self.slopes[1:] / self.slopes[0])]
@@ -262,7 +262,7 @@ class Generalised(Hysteresis[PlayState], Identifiable, Describable):
         return f"{self.plays.describe()} of an envelope {' and '.join(shapes)}"
 
     def counted_from(self, working_point_v: ArrayLike) -> Generalised:
-        """Return the same hysteresis for voltages relative to another working point (m,) [V]."""
+        """Return the hysteresis relative to another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
     @cached_property
@@ -282,7 +282,7 @@ class Generalised(Hysteresis[PlayState], Identifiable, Describable):
         return np.stack([g.at(x + home) - rest for g, x, rest, home in each])
 
     def rest(self) -> PlayState:
-        """Memory of an actuator that was never driven."""
+        """Memory at rest."""
         return self.plays.rest()
 
     def after(self, path_v: Array) -> PlayState:
@@ -425,7 +425,7 @@ class Generalised(Hysteresis[PlayState], Identifiable, Describable):
         return now[1:] - now[0], np.ascontiguousarray(moved[:, 1:] - moved[:, :1])
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
-        """Every slope of the plays stays beyond the least one; those of an envelope are positive."""
+        """Every slope of the plays stays above the minimum; slopes of an envelope are positive."""
         return self.plays.weight_bounds(output, input_, least, driven)
 
     def statements(self, inputs: Sequence[str], outputs: Sequence[str]) -> list[str]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hammerstein.hysteresis.kind import Hysteresis
 
 LEAST_ENGAGED = 1e-3
-"""Part of the half swing that a threshold must leave, so that its play moves."""
+"""Distance of a threshold from the half swing, in parts of it, so that its play moves."""
 STEP = 1e-3
 """Change of a free number for its derivative: plays bend where they engage, so that it is not too small."""
 
@@ -66,7 +66,7 @@ class Driven:
         return 0.5 * (self.high_v - self.low_v)
 
     def refuse_still(self) -> None:
-        """Raise IdentificationError where an input never moves."""
+        """Raise IdentificationError if an input never moves."""
         if not self.half_swing_v.all():
             name = self.inputs[int(np.argmin(self.half_swing_v))]
             raise IdentificationError(f"input {name} never moves, so no record identifies its effect")
@@ -109,7 +109,7 @@ class Identifiable(ABC):
     """
 
     passes_for_delay: ClassVar[bool] = False
-    """Whether the effect of this kind looks like a delay, so that no delay is estimated."""
+    """Whether the effect of this kind resembles a delay, so that no delay is estimated."""
     finest: ClassVar[int] = 0
     """Thresholds of an input among which ``column_choices`` chooses; 0: those that suit plays are taken."""
 
@@ -207,15 +207,15 @@ class Identifiable(ABC):
 
     @classmethod
     def spread(cls, driven: Driven) -> Sequence[Self]:
-        """Initial blocks whose ``places`` are few and ``free``; empty where those of the kind stay."""
+        """Initial blocks with few, ``free`` ``places``; empty for kinds with fixed places."""
         return ()
 
     def released(self, driven: Driven) -> Self:
-        """The block with its ``places`` among its ``free`` numbers."""
+        """The block with its ``places`` among the ``free`` parameters."""
         return self
 
     def settled(self) -> Self:
-        """The block with its ``places`` as they are."""
+        """The block with fixed ``places``."""
         return self
 
     def with_columns(self, kept: Flags) -> Self:
@@ -247,7 +247,7 @@ class Identifiable(ABC):
 
 
 def kept_apart(places: Array, top: float = 1.0 - 0.5 * LEAST_ENGAGED) -> Array:
-    """Places in order, in parts of their range, as far apart as that the readings tell two from one.
+    """Ordered places, in parts of their range, kept so far apart that the readings separate them.
 
     Weights of two that nearly coincide would grow until their products are rounding errors: 4.5e8 um/V were
     seen, for which the sums gave a tenth of the true error.
@@ -258,7 +258,7 @@ def kept_apart(places: Array, top: float = 1.0 - 0.5 * LEAST_ENGAGED) -> Array:
 
 
 def within_gaps(r: Array, low: float, high: float) -> Array:
-    """Standard deviation (place,) of a uniform distribution as wide as the nearest gap between ends."""
+    """Standard deviation (place,) of a uniform distribution over the nearest gap."""
     gaps = np.maximum(np.diff(r, prepend=low, append=high), 0.0)
     return np.asarray(np.minimum(gaps[:-1], gaps[1:]) / np.sqrt(12.0))
 

@@ -29,7 +29,7 @@ from hammerstein.hysteresis.rate_dependent import worst_shares
 from hammerstein.quantities import number_of
 
 LARGEST_NUMBER = 2_000_000
-"""Combinations of slopes that are written down: 16 MB a pair."""
+"""Most combinations of slopes in memory: 16 MB per pair."""
 
 
 def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:
@@ -45,7 +45,7 @@ def slope_matrices(hysteresis: Hysteresis[Any], amplitude_v: float) -> Array:
 
 
 def outermost(columns: Array) -> Array:
-    """Columns (choice, row) between which all others lie; all where they have no volume."""
+    """Columns (choice, row) on the convex hull; all if the hull has no volume."""
     if columns.shape[1] == 1:
         return np.unique([columns.min(axis=0), columns.max(axis=0)], axis=0)
     from scipy.spatial import ConvexHull, QhullError
@@ -73,7 +73,7 @@ def every_matrix(columns: Sequence[Array]) -> Array:
 
 
 SINGULAR = 1e-9
-"""Determinant, in parts of the product of the columns, that is zero but for the rounding of the weights."""
+"""Determinant, in parts of the product of the columns, that is zero within rounding of the weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class Invertibility:
         return not self.unproven and self.singular == 0 and min(self.positive, self.negative) == 0
 
     def statement(self) -> str:
-        """Whether there is an inverse, and if not, where it fails, in one sentence."""
+        """State whether there is an inverse, and otherwise where it fails, in one sentence."""
         total = self.positive + self.negative + self.singular
         if self.invertible:
             jumps = ", ".join(f"{jump:.3g} V on {self._name(k)}" for k, jump in enumerate(self.jump_v))
@@ -360,7 +360,7 @@ def _ends_v(square: Asymmetric, k: int, zone: int) -> tuple[float, float]:
 
 
 def completed(hysteresis: PrandtlIshlinskii | Asymmetric, amplitude_v: float) -> tuple[Asymmetric, Array]:
-    """Make the model square and its smallest thresholds zero, as the exact inverse needs it.
+    """Make the model square, with smallest thresholds of zero, for the exact inverse.
 
     The smallest threshold of each input is subtracted from all of its thresholds; dead-zones act after it
     anyway. A model with m > p inputs gets m - p additional rows ``M q = 0``. M spans the null space of the

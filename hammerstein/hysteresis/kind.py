@@ -1,4 +1,4 @@
-"""Base class of all kinds of hysteresis, as simulation, reports, feedback and uncertainty use it."""
+"""Base class of all kinds of hysteresis."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from hammerstein.blocks.block_system import BlockSystem
 
 SWEEP_SAMPLES = 200
-"""Samples of one way of a loop that is driven to see how far it reaches."""
+"""Samples of one branch of a loop that determines the reach."""
 
 SLOPES_KEPT = 8
-"""Of so many slopes along a loop one is looked at."""
+"""Stride of the slopes along a loop."""
 
 SLOW_S = 1e6
-"""Sample time on which a voltage that is swept has no rate [s]."""
+"""Sample time for quasi-static sweeps [s]."""
 
 
 class Normals(Protocol):
-    """Whatever gives standard normal numbers, one after the other."""
+    """Source of standard normal numbers."""
 
     def standard_normal(self, size: Any = None) -> Any:
         """One number, or an array."""
@@ -52,7 +52,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
     kind: ClassVar[str]
     wipes_out: ClassVar[bool] = False
-    """Whether a way that turns and comes back leaves no trace, as with plays."""
+    """Whether a closed minor loop is wiped out, as with plays."""
 
     @cached_property
     def n_inputs(self) -> int:
@@ -82,7 +82,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         return f"{type(self).__name__}({self.describe()})"
 
     def on_grid(self, sample_time_s: float) -> Hysteresis[S]:
-        """Return the block on a sample grid; one that does not depend on the rate is the same on all."""
+        """Return the block on a sample grid; a rate-independent one is the same on all."""
         return self
 
     def counted_from(self, working_point_v: ArrayLike) -> Hysteresis[S]:
@@ -94,7 +94,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
     @abstractmethod
     def rest(self) -> S:
-        """Memory of an actuator that was never driven."""
+        """Memory at rest."""
 
     def after(self, path_v: Array) -> S:
         """Memory of an actuator that was slowly driven along a path (m, turns) of voltages [V].
@@ -104,7 +104,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         return self.respond(path_v)[1]
 
     def standing(self, path_v: Array) -> tuple[Array, S]:
-        """Outputs (p,) [um] and memory of an actuator at the end of a path (m, turns) of slow voltages [V].
+        """Outputs (p,) [um] and memory at the end of a path (m, turns) of slow voltages [V].
 
         At the first of them it is at rest.
         """
@@ -162,7 +162,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         return y[:, 0], after
 
     def in_loop(self, memory: S) -> tuple[Any, ...] | None:
-        """Numbers for ``loop_kernels``, with the arrays of a memory, which a compiled loop moves on.
+        """Parameters for ``loop_kernels``, with the arrays of a memory, which a compiled loop updates.
 
         None for a kind that has none: it is stepped in Python, where it stands in a loop.
         """
@@ -225,7 +225,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
     @property
     @abstractmethod
     def weight_covariance(self) -> tuple[WeightCovariance, ...] | None:
-        """Covariance of the weights of each output, if it is known."""
+        """Covariance of the weights of each output, if known."""
 
     @property
     def weight_errors(self) -> tuple[Array, ...] | None:
@@ -252,11 +252,11 @@ class Hysteresis(ByValue, ABC, Generic[S]):
         )
 
     def file(self) -> HysteresisFile:
-        """Form in a model file; that of its fields by their names, where a kind does not say otherwise."""
+        """Form in a model file; by default that of its fields by name."""
         return HYSTERESIS.kinds[self.kind].model_validate(self)
 
     def to_iosys(self, sample_time_s: float, name: str = "hysteresis") -> BlockSystem:
-        """Give the block as a discrete ``control.NonlinearIOSystem``, ``drive_v[k]`` to ``hysteresis_um[o]``.
+        """Block as a discrete ``control.NonlinearIOSystem``, ``drive_v[k]`` to ``hysteresis_um[o]``.
 
         Raises InputError for a sample time that is not above zero.
         """
@@ -269,7 +269,7 @@ class Hysteresis(ByValue, ABC, Generic[S]):
 
 
 class OfPairs(Hysteresis[S]):
-    """Hysteresis of pairs (output, input), each of which knows its own settled loop."""
+    """Hysteresis of pairs (output, input), each with its own settled loop."""
 
     if TYPE_CHECKING:  # a field of both kinds
         pairs: tuple[tuple[Any, ...], ...]
@@ -284,7 +284,7 @@ class OfPairs(Hysteresis[S]):
 
 @runtime_checkable
 class Sloped(Protocol):
-    """Ability of a kind whose outputs move on lines: the slopes of an input.
+    """Ability of a piecewise linear kind: the slopes of an input.
 
     Every slope is one of these, or a mean of some of them with the same shares for all outputs.
     """
@@ -302,14 +302,14 @@ def slopes_of(hysteresis: Hysteresis[Any], k: int, amplitude_v: float) -> Array:
 
 
 def refuse_not_finite(u_v: Array) -> None:
-    """Raise SimulationError with the place of the first voltage (m, N) that is not finite, if one is not."""
+    """Raise SimulationError with the position of the first voltage (m, N) that is not finite, if any."""
     if not np.isfinite(u_v).all():
         axis, sample = (int(i[0]) for i in np.nonzero(~np.isfinite(u_v)))
         raise SimulationError(f"voltage of input {axis + 1} is not finite at sample {sample}")
 
 
 def working_point(given: ArrayLike | None, m: int, kind: str) -> Array:
-    """Voltages (m,) from which a block counts: 0 where none are given.
+    """Working point (m,) of a block [V]; 0 by default.
 
     Raises InputError for others than m finite ones.
     """
@@ -320,15 +320,15 @@ def working_point(given: ArrayLike | None, m: int, kind: str) -> Array:
 
 
 class PartFile(Strict):
-    """A part of a hysteresis in a model file; also made of the part itself, whose names it has."""
+    """Part of a hysteresis in a model file; also created from the part itself, with equal field names."""
 
     model_config = ConfigDict(from_attributes=True)
 
     describes: ClassVar[Callable[..., Any] | None] = None
-    """What makes the part of its own fields, by their names."""
+    """Constructor of the part from its fields by name."""
 
     def value(self) -> Any:
-        """Return the part this describes; InputError where it is none."""
+        """Return the described part; InputError if it is invalid."""
         return cast("Any", self.describes)(**{name: described(own) for name, own in self if name != "kind"})
 
     @model_validator(mode="after")
@@ -338,7 +338,7 @@ class PartFile(Strict):
 
 
 def refuse_unbuilt(build: Callable[[], object]) -> None:
-    """Let what cannot be built be a mistake at its place in the file: a ValueError for pydantic."""
+    """Turn a failed construction into a ValueError for pydantic, at its place in the file."""
     try:
         build()
     except InputError as error:
@@ -349,13 +349,13 @@ class HysteresisFile(PartFile, ABC):
     """Form of one kind of hysteresis in a model file, selected by ``kind``."""
 
     describes: ClassVar[type[Hysteresis[Any]] | None] = None
-    """The class that it is the file of; needed where that is ``Identifiable``."""
+    """Class of the hysteresis in this file; needed if it is ``Identifiable``."""
 
     if TYPE_CHECKING:  # a field of every kind
         kind: str
 
     def hysteresis(self) -> Hysteresis[Any]:
-        """Return the hysteresis this describes, from its fields by their names; InputError where it is none.
+        """Return the described hysteresis, from its fields by name; InputError if it is invalid.
 
         A kind whose class does not take what its file holds says otherwise.
         """
@@ -379,7 +379,7 @@ class PairFile(PartFile):
 
 
 def lower_rows(factor: Any) -> Any:
-    """Rows of a lower triangle, each up to its diagonal."""
+    """Rows of a lower triangle, each to its diagonal."""
     return [row[: i + 1] for i, row in enumerate(factor)] if isinstance(factor, np.ndarray) else factor
 
 
@@ -401,14 +401,14 @@ class CovarianceFile(PartFile):
 
 
 def described(files: Any) -> Any:
-    """What files of parts describe, in the same rows; any other value as it is."""
+    """Values of part files, in the same rows; other values unchanged."""
     if isinstance(files, tuple):
         return tuple(map(described, files))
     return files.value() if isinstance(files, PartFile) else files
 
 
 def lower_triangle(where: str, rows: tuple[tuple[float, ...], ...]) -> Array:
-    """Lower triangle with zeros above, from what ``lower_rows`` gave."""
+    """Lower triangle with zeros above, from the result of ``lower_rows``."""
     n = len(rows)
     if [len(row) for row in rows] != list(range(1, n + 1)):
         raise InputError(where, "row i of a factor must hold i numbers, up to its diagonal")

@@ -1,4 +1,4 @@
-"""Hysteresis of any kind as a part of a compiled loop, which decides its next input from its output."""
+"""Hysteresis of any kind as part of a compiled loop with feedback."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,11 +14,11 @@ from hammerstein.hysteresis.rate_dependent_kernels import respond_rate_dependent
 from hammerstein.hysteresis.shape_kernels import add_dead_zones, tanh_by_doubling
 
 ADDS: dict[type, Loop] = {}
-"""What moves hysteresis on by one sample, by the class of its numbers."""
+"""Functions that advance hysteresis by one sample, by the class of its parameters."""
 
 
 def adds(numbers: type, **options: str) -> Callable[[Loop], Loop]:
-    """Register a function for a class of numbers, a named tuple of arrays; see ``add_outputs``.
+    """Register a function for a class of parameters, a named tuple of arrays; see ``add_outputs``.
 
     options : of ``helper``
     """
@@ -64,7 +64,7 @@ def _add(v, now, w):  # type: ignore[no-untyped-def]
 
 
 class Plays(NamedTuple):
-    """Plays one by one, for a few of them, which turn often.
+    """Plays in their simple form, for few of them and frequent turns.
 
     r : (h, J) thresholds, filled up with infinity; weight : (h, J, q)
     touched : (h, 2) first and last + 1 of the outputs that a z moves; p : (h, J) plays
@@ -194,7 +194,7 @@ def _(own, i, z, now, w):  # type: ignore[no-untyped-def]
 
 
 class Sum(NamedTuple):
-    """Numbers of the parts before, and of the last part."""
+    """Parameters of the previous parts, and of the last part."""
 
     before: Any
     last: Any

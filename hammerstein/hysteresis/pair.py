@@ -1,4 +1,4 @@
-"""Play operators: one, a bank of them with weights and how well these are known, all of a model."""
+"""Play operators: single ones, weighted banks with uncertainties, and all of a model."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def play(u: ArrayLike, r: ArrayLike, start: ArrayLike | None = None) -> Array:
 
 
 def played(path_v: ArrayLike, r: ArrayLike) -> Array:
-    """Outputs (operator,) of plays that stood at the first voltage of a path and followed it slowly [V].
+    """Outputs (operator,) of plays at rest at the first voltage of a path, after following it slowly [V].
 
     Examples
     --------
@@ -114,7 +114,7 @@ def _line(name: str, values: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pair(ByValue):
-    """How one output responds to one input: a bank of play operators.
+    """Response of one output to one input: a bank of play operators.
 
     A linear gain is a bank with the single threshold 0, because a play with threshold 0 equals its input. An
     absent pair is an empty bank (paper, definition 3.1).
@@ -155,7 +155,7 @@ class Pair(ByValue):
 
     @classmethod
     def absent(cls) -> Pair:
-        """Respond to nothing."""
+        """Pair without response."""
         return cls(frozen([]), frozen([]))
 
     def __repr__(self) -> str:
@@ -195,7 +195,7 @@ def weighted_mistakes(name: str, places_v: Array, w: Array, errors: Array | None
 
 @dataclass(frozen=True, eq=False)
 class WeightCovariance(ByValue):
-    """How the errors of all weights of one output hang together: their covariance L L^T.
+    """Covariance L L^T of the errors of all weights of one output.
 
     It holds for given thresholds; how weights follow those that err is told by the model's covariance.
 
@@ -229,7 +229,7 @@ def triangle(spread: Array) -> Array:
 def refuse_other_sizes(
     operators: Sequence[Sequence[int]], weights: Sequence[WeightCovariance] | None
 ) -> None:
-    """Refuse covariances that are not those of so many weights (output, input)."""
+    """Refuse covariances of other sizes than the weights (output, input)."""
     sizes = [sum(row) for row in operators]
     if weights is not None and [w.factor_um_per_v.shape for w in weights] != [(n, n) for n in sizes]:
         raise InputError("weight_covariance", f"must have one factor for each output, of {sizes} rows")
@@ -255,7 +255,7 @@ class PlayState(Memory):
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """All operators of every input on one threshold grid an input, as the kernels want them.
+    """All operators on one threshold grid per input, for the kernels.
 
     n : (m,) operators of each input
     r : (m, n_max) thresholds [V], filled up with infinity
@@ -297,7 +297,7 @@ class Bank:
 
 
 def search_guide(r: Array, n: Indices) -> tuple[Indices, Array]:
-    """Where ``first_at_least`` of ``play_kernels`` begins: guide (m, levels), scale (m,).
+    """Start of the search of ``first_at_least`` in ``play_kernels``: guide (m, levels), scale (m,).
 
     Levels go in steps of 1 / scale, two steps a threshold on average. Guides are a hair early, so that
     rounding makes none late.

@@ -1,4 +1,4 @@
-"""Blocks of several kinds side by side: an actuator that is asymmetric and rate-dependent at once."""
+"""Sums of blocks of several kinds, for an actuator that is both asymmetric and rate-dependent."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Parallel(Hysteresis[ParallelState]):
 
     @property
     def n_beside_weights(self) -> int:
-        """Those of all parts."""
+        """Sum over all parts."""
         return sum(part.n_beside_weights for part in self.parts)
 
     def describe(self) -> str:
@@ -88,11 +88,11 @@ class Parallel(Hysteresis[ParallelState]):
         return replace(self, parts=tuple(part.on_grid(sample_time_s) for part in self.parts))
 
     def counted_from(self, working_point_v: ArrayLike) -> Parallel:
-        """Return the same block for voltages relative to a working point (m,) [V]."""
+        """Return the block relative to a working point (m,) [V]."""
         return replace(self, parts=tuple(part.counted_from(working_point_v) for part in self.parts))
 
     def rest(self) -> ParallelState:
-        """Memory of an actuator that was never driven."""
+        """Memory at rest."""
         return ParallelState(tuple(part.rest() for part in self.parts))
 
     def after(self, path_v: Array) -> ParallelState:
@@ -109,7 +109,7 @@ class Parallel(Hysteresis[ParallelState]):
         return np.sum([v for v, _ in found], axis=0), ParallelState(tuple(own for _, own in found))
 
     def in_loop(self, memory: ParallelState) -> tuple[Any, ...] | None:
-        """Every part, and their sum; see ``Hysteresis.in_loop``."""
+        """Parameters of every part and of their sum; see ``Hysteresis.in_loop``."""
         from hammerstein.hysteresis.loop_kernels import Sum
 
         found = [part.in_loop(own) for part, own in zip(self.parts, memory.parts, strict=True)]
@@ -148,7 +148,7 @@ Part = Annotated[
 
 
 class ParallelFile(HysteresisFile):
-    """Blocks side by side whose outputs add: to be simulated."""
+    """Parallel blocks whose outputs add; for simulation only."""
 
     kind: Literal["parallel"] = "parallel"
     describes: ClassVar = Parallel

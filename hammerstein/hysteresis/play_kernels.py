@@ -205,7 +205,7 @@ def respond_turning_points(  # type: ignore[no-untyped-def]
 
 @helper()
 def load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: ignore[no-untyped-def]
-    """Copy a stack onto a floor of n operators at rest, and follow its tips from the floor upwards."""
+    """Copy a stack onto n operators at rest, and follow its tips from the bottom upwards."""
     ends[0], xs[0], ds[0] = n, 0.0, 0.0
     tips[0] = 0.0
     for s in range(count):
@@ -217,7 +217,7 @@ def load(n, lines, count, end, x, d, ends, xs, ds, tips, outputs):  # type: igno
 
 @helper()
 def plays_of(r, top, end, x, d, plays):  # type: ignore[no-untyped-def]
-    """Outputs of all operators of a stack, from its top down to its floor."""
+    """Outputs of all operators of a stack, from top to bottom."""
     first = 0
     for s in range(top, -1, -1):
         for i in range(first, end[s]):
@@ -227,7 +227,7 @@ def plays_of(r, top, end, x, d, plays):  # type: ignore[no-untyped-def]
 
 @helper()
 def stack_of(plays, lines, end, x, d, tip, outputs):  # type: ignore[no-untyped-def]
-    """Stack of plays on its floor, one segment an operator; returns its top."""
+    """Stack of plays, one segment per operator; returns its top."""
     n = end[0]
     for s in range(n):
         end[s + 1], x[s + 1], d[s + 1] = n - s, plays[n - 1 - s], 0.0

@@ -124,7 +124,7 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         return int(sum(n for n in self.bank.n if n > 1))
 
     def rest(self) -> PlayState:
-        """State of a model that was never driven: all plays at zero."""
+        """State at rest: all plays at zero."""
         return self._rest
 
     @cached_property
@@ -178,7 +178,7 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         return y, self.carry_on(u_v, start, 0, u_v.shape[1], y)
 
     def carry_on(self, u_v: Array, start: PlayState, first: int, stop: int, v_um: Array) -> PlayState:
-        """Put outputs into an array, without another one between; see ``Hysteresis.carry_on``."""
+        """Write outputs into an array without a temporary one; see ``Hysteresis.carry_on``."""
         from hammerstein.hysteresis.play_kernels import respond_turning_points
 
         s = start.copy()
@@ -216,7 +216,7 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
 
     @classmethod
     def first_guesses(cls, driven: Driven) -> list[PrandtlIshlinskii]:
-        """Plays with the thresholds that suit the records; see ``Identifiable``."""
+        """Plays with suitable thresholds for the records; see ``Identifiable``."""
         row = tuple(Pair(r, np.ones(len(r))) for r in driven.thresholds_v)
         return [cls((row,) * driven.outputs)]
 
@@ -226,7 +226,7 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         return np.concatenate([self.bank.r[k, :n] for k, n in enumerate(self.bank.n)])
 
     def at(self, free: Array) -> PrandtlIshlinskii:
-        """Return the same weights with other thresholds; what falls below 0 lies as far above it."""
+        """Return the same weights with other thresholds; negative ones are mirrored."""
         ends = np.cumsum(self.bank.n)[:-1]
         old, new = np.split(self.free, ends), [_apart(np.abs(part)) for part in np.split(free, ends)]
 
@@ -237,7 +237,7 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         return PrandtlIshlinskii(tuple(rows))
 
     def limits(self, driven: Driven) -> Limits:
-        """From 0 to what the swing engages."""
+        """From 0 to the largest threshold that the swing engages."""
         tops = np.repeat((1.0 - LEAST_ENGAGED) * driven.half_swing_v, self.bank.n)
         return Limits(np.zeros(len(tops)), tops)
 
@@ -266,7 +266,7 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         return values, stood
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
-        """Every slope, a partial sum of the weights, stays beyond the least one."""
+        """Every slope, a partial sum of the weights, stays above the minimum."""
         counts = self.operators[output]
         own = slice(sum(counts[:input_]), sum(counts[: input_ + 1]))
         basis, side, bound = np.eye(sum(counts)), np.zeros(sum(counts)), np.zeros(sum(counts))
@@ -313,7 +313,7 @@ def _checked_plays(plays: Array, r: Array, k: int) -> Array:
 
 
 class PrandtlIshlinskiiFile(HysteresisFile):
-    """Classical Prandtl-Ishlinskii hysteresis: pairs (output, input), and what is known of their errors."""
+    """Classical Prandtl-Ishlinskii hysteresis: pairs (output, input), and their uncertainties."""
 
     kind: Literal["prandtl_ishlinskii"] = "prandtl_ishlinskii"
     describes: ClassVar = PrandtlIshlinskii

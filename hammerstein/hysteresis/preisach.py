@@ -1,4 +1,4 @@
-"""Preisach hysteresis: a plane of relays, whose memory is the staircase of dominant turns of each voltage."""
+"""Preisach hysteresis: a plane of relays with the staircase of dominant turns of each voltage as memory."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from hammerstein.hysteresis.kind import (
 from hammerstein.quantities import Offset, Weight
 
 MOST_CELLS = 40
-"""Cells on a side of a plane at most: 820 weights a pair."""
+"""Most cells per side of a plane: 820 weights per pair."""
 CELLS = (10, 20)
-"""Cells on a side that are tried unasked: 40 take ten times as long as 20."""
+"""Numbers of cells per side that are tried by default: 40 take ten times as long as 20."""
 MOST_COLUMNS = 500
-"""Weights of an output up to which a plane is tried unasked: they are responses of all samples, in memory."""
+"""Most weights of an output for a default trial: each needs a response of all samples in memory."""
 ASIDE = 0.1
 """Distance of the working point from the middle of the range, in parts of half of it, from which a plane with
 that point in its middle is another one."""
@@ -55,7 +55,7 @@ class PreisachState(Memory):
 
 
 class Planes(NamedTuple):
-    """The planes of all inputs as the kernels want them.
+    """Planes of all inputs, for the kernels.
 
     rest, low, high, size : (m,) working point, ends of the plane, width of a cell [V]; cells : (m,)
     node : (m, n_max+1, n_max+1, p) Everett function at the levels [um]
@@ -94,11 +94,11 @@ class Planes(NamedTuple):
         return filled(respond_preisach, *given, shape=shape, products=8 * len(u_v) * shape[0]), own
 
     def numbers(self, memory: PreisachState) -> tuple[Any, ...]:
-        """What the kernel takes beside voltages and outputs."""
+        """Arguments of the kernel other than voltages and outputs."""
         return (*self, memory.count, memory.x, memory.tip, memory.last)
 
     def fresh(self, home_v: Array) -> PreisachState:
-        """Memory of an actuator that was never driven and stands at voltages (m,), as they are sent [V].
+        """Memory of an actuator at rest at absolute voltages (m,) [V].
 
         It is that after swings about them which die away by a cell each: the staircase lies along the line
         of turns with these voltages in their middle, as it does for plays that were never moved.
@@ -116,7 +116,7 @@ class Planes(NamedTuple):
         return self.run(np.clip(path, self.low[:, None], self.high[:, None]) - self.rest[:, None], begun)[1]
 
     def after(self, path_v: Array) -> PreisachState:
-        """Memory of an actuator that was never driven before it stood at the first voltages (m, turn)."""
+        """Memory after a path (m, turn) of voltages from rest."""
         return self.run(path_v, self.fresh(path_v[:, 0] + self.rest))[1]
 
 
@@ -206,7 +206,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
         return f"{self.ports}, a plane of {sides} cells on each side for each input"
 
     def counted_from(self, working_point_v: ArrayLike) -> Preisach:
-        """Return the same hysteresis for voltages relative to another working point (m,) [V]."""
+        """Return the hysteresis relative to another working point (m,) [V]."""
         return replace(self, working_point_v=np.asarray(working_point_v, dtype=np.float64))
 
     @cached_property
@@ -227,7 +227,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
         return state
 
     def rest(self) -> PreisachState:
-        """Memory of an actuator that was never driven."""
+        """Memory at rest."""
         return self._counted(self.planes.fresh(np.asarray(self.working_point_v)))
 
     def after(self, path_v: Array) -> PreisachState:
@@ -300,7 +300,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
         return [ColumnChoice([whole], whole)]
 
     def with_columns(self, kept: Flags) -> Preisach:
-        """Itself: a plane has all of its cells."""
+        """Return itself: a plane keeps all of its cells."""
         return self
 
     @property
@@ -340,7 +340,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
         return np.vstack(values), np.concatenate(held)
 
     def weight_bounds(self, output: int, input_: int, least: float, driven: Driven) -> Bounds:
-        """No relay switches against the slope, and the diagonal, which moves always, keeps the least one."""
+        """No weight has the opposite sign of the slope, and the diagonal keeps the minimum."""
         counts = self.operators[output]
         own = slice(sum(counts[:input_]), sum(counts[: input_ + 1]))
         side, bound = np.zeros((2, sum(counts)))
@@ -362,7 +362,7 @@ class Preisach(Hysteresis[PreisachState], Identifiable, Describable):
         return np.array([0.0, 0.5 * float(self.high_v[0] - self.low_v[0])])
 
     def file(self) -> PreisachFile:
-        """Form in a model file; the working point stands there once, with the voltages."""
+        """Form in a model file, without the working point, which the voltages hold."""
         rows = tuple(tuple(lower_rows(cells) for cells in row) for row in self.cells_um_per_v)
         return PreisachFile(low_v=tuple(self.low_v), high_v=tuple(self.high_v), cells_um_per_v=rows)
 

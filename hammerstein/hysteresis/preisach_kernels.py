@@ -93,7 +93,7 @@ def branch(k, turn, tip, rises, i, low, size, cells, node, value, slope):  # typ
 
 @helper()
 def moved(k, z, top, begin, value, slope, x, tip, last):  # type: ignore[no-untyped-def]
-    """Move input k to another voltage of the plane: its turns are remembered and wiped out; gives the top.
+    """Move input k to another voltage of the plane, with storage and wiping-out of turns; returns the top.
 
     begin, value, slope : the line on which it stands
     """
@@ -114,7 +114,7 @@ def moved(k, z, top, begin, value, slope, x, tip, last):  # type: ignore[no-unty
 
 @helper()
 def forgotten(k, top, x, tip):  # type: ignore[no-untyped-def]
-    """Forget the two turns in a row whose corner of the staircase is the smallest; gives the top."""
+    """Remove the two consecutive turns with the smallest corner of the staircase; returns the top."""
     least, area = 1, np.inf
     for s in range(1, top - 1):
         own = abs(x[k, s + 2] - x[k, s]) * abs(x[k, s + 1] - x[k, s - 1])

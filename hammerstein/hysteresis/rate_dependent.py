@@ -29,9 +29,9 @@ from hammerstein.hysteresis.rate_dependent_kernels import play_outputs, respond_
 from hammerstein.quantities import Bandwidth, Delay, Threshold, Weight
 
 FIRST_SHARES = (0.01, 0.03, 0.1, 0.25)
-"""Growth to begin a fit with: parts of half the swing by which a threshold grows at the fastest rate."""
+"""Initial growth of a fit: increase of a threshold at the fastest rate, in parts of half the swing."""
 FIRST_BANDWIDTHS = (0.5, 2.0, 8.0)
-"""Bandwidth to begin with, in parts of the fastest rate of the records."""
+"""Initial bandwidth, in parts of the fastest rate of the records."""
 LEAST_GAIN, STABLE, MOST_GAIN = 1e-6, 0.95, 100.0
 """Loop gain of the inverse on a fine grid: what is no growth at all, what leaves it stable, and any."""
 
@@ -92,7 +92,7 @@ class RateState(Memory):
 
 
 class RateBank(NamedTuple):
-    """All plays of every input as the kernels want them: n (m,), r and b (m, n_max), w (m, n_max, p)."""
+    """All plays of every input, for the kernels: n (m,), r and b (m, n_max), w (m, n_max, p)."""
 
     n: Indices
     r: Array
@@ -189,7 +189,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
 
     @property
     def grid_s(self) -> float:
-        """Sample time [s]; InputError where it stands on no grid."""
+        """Sample time [s]; InputError without a grid."""
         if self.sample_time_s is None:
             raise InputError("rate-dependent hysteresis", "needs a sample time; take its on_grid(T)")
         return self.sample_time_s
@@ -202,18 +202,18 @@ class RateDependent(Hysteresis[RateState], Identifiable):
 
     @property
     def n_beside_weights(self) -> int:
-        """Of each input thresholds, the growth that its plays share, and the bandwidth of the rate."""
+        """Per input: thresholds, the shared growth of its plays, and the bandwidth of the rate."""
         return sum(len(plays.thresholds_v) + 2 for plays in self.inputs)
 
     def loop_gain(self) -> Array:
-        """How far the inverse of a square model is from ringing up, by input (m,): stable below 1.
+        """Loop gain of the inverse of a square model, by input (m,): stable below 1.
 
         See ``stability_gain``.
         """
         return stability_gain(self.bank.w, self.bank.b, self.poles, self.grid_s)
 
     def rest(self) -> RateState:
-        """Memory of an actuator that was never driven."""
+        """Memory at rest."""
         return RateState(np.zeros(self.bank.r.shape), np.zeros((self.n_inputs, 2)), np.zeros(self.n_inputs))
 
     def after(self, path_v: Array) -> RateState:
@@ -224,7 +224,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return RateState(plays, np.repeat(path_v[:, -1:], 2, axis=1), np.zeros(self.n_inputs))
 
     def standing(self, path_v: Array) -> tuple[Array, RateState]:
-        """Outputs and memory at the end of a slow path: in jumps its thresholds would grow."""
+        """Outputs and memory at the end of a slow path, without the growth that jumps would cause."""
         state = self.after(path_v)
         return np.einsum("kio,ki->o", self.bank.w, state.plays_v), state
 
@@ -292,7 +292,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return tuple(plays.thresholds_v for plays in self.inputs)
 
     def at_places(self, places: Sequence[Array]) -> RateDependent:
-        """Return plays with other thresholds; what falls below 0 lies as far above it."""
+        """Return plays with other thresholds; negative ones are mirrored."""
         each = zip(self.inputs, places, strict=True)
         plays = tuple(replace(own, thresholds_v=np.sort(np.abs(r))) for own, r in each)
         return replace(self, inputs=plays, weight_covariance=None)
@@ -312,7 +312,7 @@ class RateDependent(Hysteresis[RateState], Identifiable):
         return replace(self, inputs=plays, weight_covariance=None)
 
     def limits(self, driven: Driven) -> Limits:
-        """A bandwidth between one over the record and half its rate, an inverse that does not ring up."""
+        """Bandwidth from one over the record to half its rate, and a stable inverse."""
         most = STABLE if driven.invertible else MOST_GAIN
         ends = ((LEAST_GAIN, 1.0 / driven.duration_s), (most, 0.5 / driven.sample_time_s))
         lower, upper = (np.log([*((gain,) * self.n_inputs), hz]) for gain, hz in ends)
@@ -382,7 +382,7 @@ class RateDependentFile(HysteresisFile):
 
 
 def stability_gain(weights: Array, growth_s: Array, poles: Array, sample_time_s: float) -> Array:
-    """How far the loop of each input is from ringing up (m,): stable below 1; inf where nothing is known.
+    """Loop gain of each input (m,): stable below 1; inf if unknown.
 
     On a branch the inverse gives ``u[k] = ... + B rho[k]`` with ``B = J^-1 N``; column k of J sums the
     weights of the plays of input k that move, that of N the weights times their growth. Any plays may move

@@ -7,7 +7,7 @@ from hammerstein.compiled import compiled, helper
 CHUNK = 1024
 """Samples of one play after the other: what they add to stays in the cache."""
 ROOT_TWO, LOG_TWO = 1.4142135623730951, 0.6931471805599453
-"""To the last bit of a double."""
+"""Precision of a double."""
 DOUBLINGS = 128
 """2^128 is beyond every rate in thresholds."""
 SERIES = tuple(1.0 / n for n in range(23, 0, -2))
@@ -36,7 +36,7 @@ def log_of_one_and(x):  # type: ignore[no-untyped-def]
 
 @helper()
 def next_rate(k, sample_time, pole, last, rate):  # type: ignore[no-untyped-def]
-    """Move the filtered rate of input k on by one sample; ``last`` holds its last two voltages."""
+    """Update the filtered rate of input k by one sample; ``last`` holds its last two voltages."""
     slope = (last[k, 0] - last[k, 1]) / sample_time
     rate[k] = pole[k] * rate[k] + (1.0 - pole[k]) * slope
 

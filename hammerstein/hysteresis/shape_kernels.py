@@ -1,4 +1,4 @@
-"""Compiled functions of one play an input: one-sided dead-zones, the inverse of an envelope."""
+"""Compiled functions of one play per input: one-sided dead-zones, the inverse of an envelope."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ SERIES = (-1382.0 / 155925.0, 62.0 / 2835.0, -17.0 / 315.0, 2.0 / 15.0, -1.0 / 3
 
 @helper()
 def tanh_by_doubling(x):  # type: ignore[no-untyped-def]
-    """Hyperbolic tangent of any numbers, within some rounding errors of it.
+    """Hyperbolic tangent of any numbers, to a few rounding errors.
 
         tanh 2 z = 2 tanh z / (1 + tanh^2 z)
 
@@ -80,7 +80,7 @@ def play_derivatives(x, moved, r, w, plays, signs, held, out):  # type: ignore[n
 def add_dead_zones(  # type: ignore[no-untyped-def]
     u, r, held, ends, slope, intercept, y, outputs
 ):
-    """Add to y what the dead-zones of all inputs make of their smallest plays.
+    """Add to y the dead-zones of all inputs, behind their smallest plays.
 
     Samples that follow each other in one zone are worked off together.
 

@@ -1,1 +1,1 @@
-"""From measured records to a model: static block, dynamics, verdict."""
+"""Identification of a model from measured records: static block, dynamics, verdict."""

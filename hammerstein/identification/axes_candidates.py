@@ -1,4 +1,4 @@
-"""Models with a resonance, a low-pass or creep on each axis, beside those without."""
+"""Candidate models with and without a resonance, a low-pass or creep on each axis."""
 
 import math
 from collections.abc import Sequence
@@ -58,16 +58,16 @@ from hammerstein.identification.task import (
 from hammerstein.records.record import Record
 
 GROWN_SAMPLES = 200_000
-"""Samples with which a low-pass or a creep mode more is searched."""
+"""Samples for the search of an additional low-pass or creep mode."""
 MOST_TURNS = 8
-"""Most times that thresholds are exchanged and fitted with the axes; each must lower the criterion by one."""
+"""Largest number of joint fits of exchanged thresholds and axes; each must lower the criterion by one."""
 WORTHWHILE = 5e-3
-"""Part of the error that a turn must gain where the records are so long that samples are left out."""
+"""Relative gain that a turn needs if the records are so long that samples are skipped."""
 CONVERGED = 1e-9
 """Gain of a step, in parts of the error, under which thresholds and axes have arrived: with 1e-6, other
 versions of SciPy ended 3e-5 of the error away, and what is left of a cross-coupling moved by a half."""
 CLEARLY_FELT = 0.5
-"""Part of the error that dynamics leave, below which thresholds are not fitted without them, too."""
+"""Remaining part of the error with dynamics, below which thresholds are not fitted without them, too."""
 
 
 def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
@@ -146,14 +146,14 @@ def guesses_of(
     settings: Settings,
     tell: Progress,
 ) -> tuple[FirstGuess, ...]:
-    """Quick axes of every shape that is tried."""
+    """First guesses of the axes, for every shape that is tried."""
     late = settings.delay_samples
     search = partial(search_axes, records, starts, sensor=settings.sensor, progress=tell)
     return tuple(search(delay_samples=late, resonance=fast, lag=lag) for fast, lag in settings.shapes)
 
 
 def with_checked_delay(task: Task, guess: FirstGuess) -> FirstGuess:
-    """Axes with the delay that is best with the thresholds of the task."""
+    """Axes with the best delay for the thresholds of the task."""
     task.progress("checking the delay")
     grids = SlopeColumns.of(task.thresholds_v).grids
     return checked_delay(task.records, task.starts, grids, guess, sensor=task.settings.sensor)
@@ -321,7 +321,7 @@ def _felt(without: StaticFit, with_dynamics: StaticFit) -> bool:
 
 
 def dynamics_of(axes: Sequence[AxisFit]) -> AxesDynamics:
-    """Linear block of the axes; those that the records do not tell pass their input unchanged."""
+    """Linear block of the axes; unidentified ones pass their input unchanged."""
     return AxesDynamics(axes=tuple(fit.axis if fit.identified else Axis() for fit in axes))
 
 

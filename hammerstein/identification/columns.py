@@ -1,4 +1,4 @@
-"""Which columns of a kind the records call for, and how smooth their weights are: judged on folds.
+"""Columns of a kind and smoothness of their weights, chosen by cross-validation.
 
 The moments of all columns are gathered once; every set of them is a part of those.
 """
@@ -29,21 +29,21 @@ from hammerstein.identification.task import Task
 T = TypeVar("T")
 
 RIDGES = tuple(10.0**-i for i in range(2, 9))
-"""Penalties of the weights that are tried, the smoothest slopes first; below, rounding errors decide."""
+"""Penalties of the weights that are tried, the smoothest slopes first; smaller ones are lost in rounding."""
 BEGUN = RIDGES[-3]
-"""Penalty with which the columns are chosen: it decides nothing but what the records leave open."""
+"""Penalty for the choice of columns: it only affects what the records do not determine."""
 PARTS = 64
 """Parts of a record that are left out in turn: short against the way from one breakpoint to the next
 where the record is a single loop, or what only they tell of it would be missing."""
 NEAR = 5e-3
-"""Part by which fewer columns or smoother slopes may leave more on what is left out."""
+"""Relative increase of the cross-validation error allowed for fewer columns or smoother slopes."""
 SHARE = 0.1
 """Gain of a step, in parts of what a place must save, under which a search for places has arrived: beyond it,
 places that are not worth their price wander, and rounding decides where to."""
 
 
 def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
-    """How the records drive the inputs, and thresholds: the finest of the kind where none are asked for."""
+    """Excitation of the inputs, and thresholds: the finest of the kind if none are requested."""
     records, settings = task.records, task.settings
     finest = identifiable_kinds()[settings.hysteresis].finest
     auto = settings.operators == "auto" and settings.thresholds_v is None and settings.partition == "auto"
@@ -70,7 +70,7 @@ def driven_of(task: Task, thresholds_v: Thresholds) -> Driven:
 def chosen_columns(
     task: Task, begins: Sequence[Identifiable], driven: Driven, dynamics: Dynamics, ridge: float = 0.0
 ) -> tuple[Identifiable, float]:
-    """Block with the fewest columns and the largest penalty whose error is within 0.5 % of the least.
+    """Block with the fewest columns and the largest penalty whose error is within 0.5 % of the minimum.
 
     If several blocks qualify, the first and smallest is taken.
 
@@ -92,7 +92,7 @@ def chosen_columns(
 
 
 def few_places(task: Task, begins: Sequence[Identifiable], driven: Driven, found: OutputDynamics) -> BlockFit:
-    """Block whose places are fitted, without those that are not worth their price.
+    """Block with fitted places, without those that lower the error too little.
 
     All of them are left out before the others move, or else the least one alone. A place at the end of the
     swing leaves in any case: its column moves at the tips alone.
@@ -152,7 +152,7 @@ def _worth(fit: BlockFit, due: float) -> Flags:
 
 
 def error_left_out(task: Task, block: Hysteresis[Any], dynamics: Dynamics, ridge: float) -> float:
-    """Rms error of a block with all its columns on the folds left out in turn, in parts of the ranges."""
+    """Cross-validation rms error of a block with all its columns, in parts of the ranges."""
     whole = cast(Identifiable, block)
     return _errors_left_out(task, whole, dynamics)(np.ones(len(whole.roughness.T), dtype=np.bool_), ridge)
 

@@ -1,4 +1,4 @@
-"""Recorded voltages: how they excite each input, and the working point that the model file states.
+"""Recorded voltages: excitation of each input, and working point for the model file.
 
 A single rate does not separate lag from hysteresis, and a voltage that never turns shows none.
 
@@ -24,25 +24,25 @@ from hammerstein.records.record import Record, begins_at_rest, driven_inputs
 from hammerstein.records.turning_points import noise_rms, quantum, turning_points
 
 TWO_RATES = 1.5
-"""Ratio of the fastest to the slowest from which rates are two."""
+"""Ratio of the fastest to the slowest rate from which they count as two."""
 SWING, SWINGS, MOST_SWINGS = 0.05, 2, 500
 """Smallest swing that counts, in parts of the whole; how many must be shorter and faster than as many others;
 how many are compared, spread over the record."""
 LOWEST = 0.05
-"""Part of the power of a drive below its lowest frequency: a beginning or a drift has less."""
+"""Part of the power of a drive below its lowest frequency; transients and drift have less."""
 PARTS = 8
-"""Parts of a record of which the fastest rate is taken."""
+"""Number of parts of a record for the fastest rate."""
 AT_AN_END = 0.01
-"""Part of its range within which a voltage begins at an end of it."""
+"""Distance from an end, in parts of the range, within which a voltage begins at that end."""
 
 
 def several_rates(records: Sequence[Record]) -> bool:
-    """Whether records are driven so fast and so slowly that they tell a lag from hysteresis."""
+    """Whether the records include rates different enough to separate a lag from hysteresis."""
     return any(rates_of_input(records))
 
 
 def rates_of_input(records: Sequence[Record]) -> tuple[bool, ...]:
-    """Whether each input is driven at several rates: in different records, or within one."""
+    """Whether each input is driven at several rates, in different records or within one."""
     found = []
     for k in range(len(records[0].u_v)):
         own = [record for record in records if k in driven_inputs(record)]
@@ -53,7 +53,7 @@ def rates_of_input(records: Sequence[Record]) -> tuple[bool, ...]:
 
 
 def lowest_hz(record: Record) -> float:
-    """Lowest frequency of what a record is driven with [Hz]: a twentieth of its power is slower.
+    """Lowest frequency of the drive of a record [Hz]: a twentieth of its power is below.
 
     Hysteresis answers at sums and differences of the frequencies of its drive, so the lines of its spectrum
     are about as far apart: of one sine by its frequency, of several by much less.
@@ -72,7 +72,7 @@ def lowest_hz(record: Record) -> float:
 
 
 def quantile_hz(record: Record, share: float) -> float:
-    """Frequency below which a share of the power of the drive lies [Hz]; 0 where nothing is driven.
+    """Frequency below which a share of the drive's power lies [Hz]; 0 without drive.
 
     Examples
     --------
@@ -87,7 +87,7 @@ def quantile_hz(record: Record, share: float) -> float:
 
 
 def drive_hz(record: Record, input_: int | None = None) -> float:
-    """Mean frequency of what a record is driven with, weighted with its power [Hz]; of all inputs, or of one.
+    """Power-weighted mean frequency of the drive of a record [Hz], for all inputs or one.
 
     Examples
     --------
@@ -132,13 +132,13 @@ def fastest_rad_per_s(records: Sequence[Record]) -> Array:
 
 
 RESPONDED = 1.0
-"""Response of an output to an input, in parts of what the fit leaves, below which there is none."""
+"""Response of an output to an input, relative to the prediction error, below which there is none."""
 TOLD = 10.0
 """The same, below which the single weights of an input are guesses, where it was driven but little."""
 SMALL = 0.1
 """Part of the largest half swing below which an input was driven but little."""
 ROUGH = 1.3
-"""Standard deviation of a signal, in parts of the rms noise found in it, up to which it is noise alone."""
+"""Standard deviation of a signal over its rms noise, up to which it is noise alone."""
 
 
 def responses(candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Array:
@@ -193,7 +193,7 @@ def refuse_noise(records: Sequence[Record], response: Array) -> None:
 
 
 def is_noise(x: Array) -> bool:
-    """Whether a signal stands still or is as rough as white noise."""
+    """Whether a signal is constant or white noise."""
     return float(np.std(x)) <= ROUGH * noise_rms(x) or float(np.ptp(x)) <= 1.5 * quantum(x)
 
 
@@ -234,7 +234,7 @@ def _turns(record: Record, k: int) -> bool:
 
 
 def counted(record: Record) -> Record:
-    """The same record with its voltages counted from their first values.
+    """The same record with voltages relative to their first values.
 
     >>> u = 90.0 * np.sin(np.linspace(0.0, 12.0, 300)) - 90.0
     >>> begun = counted(Record([u], [5.0 * u], 1e-3))

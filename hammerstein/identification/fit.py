@@ -1,4 +1,4 @@
-"""Result of an identification beside the model: errors, offsets, statements."""
+"""Fit report of an identification: errors, offsets, statements."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Statements about an identified model: its verdict, what the records do not identify, and its file."""
+"""Statements about an identified model: verdict, unidentified parameters, and its file."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ from hammerstein.records.record import Record, driven_inputs
 from hammerstein.signals.units import spoken
 
 NIL_THRESHOLD = 1e-3
-"""Part of the half swing up to which a threshold is as good as 0, so that its place limits nothing."""
+"""Threshold, in parts of the half swing, that counts as 0."""
 ALIKE = 0.05
 """Part by which the amplitudes of two loops may differ for their widths to be compared."""
 FASTER, WIDER, WIDER_PERCENT = 1.5, 1.15, 1.0
@@ -59,7 +59,7 @@ UNTOLD = (
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Records with the models fitted to them: plays and linear ones, with which the fit of any kind begins.
+    """Records with fitted play and linear models, the start of a fit of any kind.
 
     given : the fitted records as they were given; held : the validation records
     response : to each input, see ``responses``
@@ -76,7 +76,7 @@ class Prepared:
 
 
 def left_out(records: Sequence[Record]) -> list[str]:
-    """Outliers that the records were read without."""
+    """Outliers excluded from the records."""
     return [
         f"{record.source}: excluded outliers of {found.column}: {found.describe()}"
         for record in records
@@ -91,7 +91,7 @@ def fit_of(
     voltages: Voltages,
     known: ParameterCovariance | None,
 ) -> Fit:
-    """Everything that is said about the model.
+    """Fit report of the model.
 
     fitted, judged : errors of every kind of model on the records fitted and held back
     """
@@ -222,7 +222,7 @@ def _rest_um(fit: Fit, best: Candidate) -> tuple[float, ...]:
 
 
 def model_of(fit: Fit, best: Candidate, name: str, instruments: Instruments | None) -> HammersteinModel:
-    """What the model file holds: blocks, voltages as recorded, instruments and verdict."""
+    """Model for the file: blocks, recorded voltages, instruments and verdict."""
     record = fit.records[0]
     bandwidth = fit.sensor_bandwidth_hz
     if instruments is None:
@@ -432,7 +432,7 @@ def _bounds(task: Task, built: CandidateSet, named: Sequence[Fault]) -> Iterator
 
 
 def widening(records: Sequence[Record], k: int, o: int) -> str:
-    """How much wider a loop is at the fastest rate than at the slowest one of its amplitude; empty if not.
+    """Growth of the loop width from the slowest to the fastest rate of an amplitude, in words, if any.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""From records to a model and an account of how far it can be trusted."""
+"""Identification of a model from records, with its fit report."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -111,11 +111,11 @@ def identify(
 
 
 class UntoldError(IdentificationError):
-    """The records do not identify what a kind of hysteresis has beside plays."""
+    """The records do not identify the parameters of a kind of hysteresis other than those of plays."""
 
 
 def settings_of_plays(asked: Settings, kind: str) -> Settings:
-    """With which settings plays are fitted before a kind of hysteresis."""
+    """Settings of the play model that is fitted before another kind of hysteresis."""
     settings = asked if kind == PLAYS else asked.without_auto()
     if identifiable_kinds()[kind].passes_for_delay and asked.delay_samples is None:
         settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
@@ -162,7 +162,7 @@ def fit_kind(
     instruments: Instruments | None = None,
     progress: Progress | None = None,
 ) -> tuple[HammersteinModel, Fit]:
-    """Fit the kind of hysteresis that is asked for behind plays that are known; see ``identify``.
+    """Fit the requested kind of hysteresis, starting from a play model; see ``identify``.
 
     Raises UntoldError where plays are as good.
     """
@@ -239,7 +239,7 @@ def given_records(given: Record | Iterable[Record]) -> tuple[Record, ...]:
 def from_last_rest(
     records: Record | Iterable[Record], sensor: SensorModel | None = None, *, accept_order: bool = False
 ) -> tuple[Record, ...]:
-    """Records from where they last rested, with their voltages counted from there.
+    """Records from their last rest on, with voltages relative to it.
 
     sensor : whose known delay is taken off the readings, in whole samples; none if not given
     accept_order : whether an output may lead its input

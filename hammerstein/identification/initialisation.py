@@ -1,4 +1,4 @@
-"""Initialisation: initial states, delays and thresholds of the records, before a model is fitted."""
+"""Initialisation of a fit: initial states, delays and thresholds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -48,14 +48,14 @@ from hammerstein.identification.task import Progress, Task
 from hammerstein.records.record import Record
 
 DELAY_OPERATORS = 15
-"""Operators with which the delay is found where their number is still open."""
+"""Number of operators for the estimate of the delay before their number is chosen."""
 DEFAULT_OPERATORS, MOST_FITTED = 15, 20
-"""Operators where no number is asked for nor tried, and the most of an input whose thresholds are fitted."""
+"""Default number of operators, and the largest number of an input with fitted thresholds."""
 STEPPED_BEFORE = 0.2  # part of a record that a step lies before it, where the search begins
 CREEP_ROUNDS = 6  # in which starts and a slow mode are found in turn
 FIRST_OPERATORS = 20  # of the model that tells how records begin
 FIRST_SAMPLES = 50_000
-"""Operators and samples of the first model, which only tells how the records begin."""
+"""Operators and samples of the first model, which only determines initial states."""
 
 
 def _first_starts(
@@ -112,7 +112,7 @@ class _FirstModels:
 def first_task(
     records: tuple[Record, ...], settings: Settings, tell: Progress
 ) -> tuple[Task, tuple[FirstGuess, ...], tuple[CurvePoint, ...]]:
-    """Starts, delays and thresholds of the records, and axes near the best ones."""
+    """Initial states, delays and thresholds of the records, and approximate axes."""
     tell("estimating the initial states")
     begun = _first_starts(records, settings)
     guesses = guesses_of(records, begun, settings, tell)
@@ -165,7 +165,7 @@ def creeping_starts(
     settings: Settings,
     tell: Progress,
 ) -> tuple[InitialState, ...]:
-    """Initial states of records that began while an earlier step still crept, found in turn with a slow mode.
+    """Initial states of records that began during creep of an earlier step, alternating with a slow mode.
 
     Unchanged if no prediction error decays, or if a slow mode fits as well with records that began at rest.
     """

@@ -1,4 +1,4 @@
-"""Other kinds of hysteresis in place of the classical block of a model, fitted to the same records."""
+"""Other kinds of hysteresis that replace the classical block of a model, fitted to the same records."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ from hammerstein.identification.task import CandidateSet, FittedModel, Task, thr
 
 WITHOUT_PLAYS = ("linear", "linear_dynamics")
 MOST_TURNS = 4
-"""Most times that block and axes are fitted in turn; each must lower the error by half a percent."""
+"""Largest number of alternating fits of block and axes; each must lower the error by half a percent."""
 DELAY_TURN = 1
-"""Turn in which the delay is found: behind a block that was found in front of axes."""
+"""Turn that estimates the delay, behind a block fitted in front of axes."""
 BEGINNING = 20_000
-"""Samples of all records together that tell how they began."""
+"""Samples of all records together for the initial states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ def _free_delay(task: Task) -> bool:
 
 
 def trials_of(task: Task, tried: Sequence[HammersteinFit]) -> list[Trial]:
-    """What speaks for each model: its errors on folds of the fitted records.
+    """Cross-validation errors of each model on the fitted records.
 
     All are judged on the same samples: a beginning that one of them explains counts for all.
     """
@@ -238,7 +238,7 @@ class HammersteinFit(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Words for a table."""
+        """Name for a table."""
         shapes = dict.fromkeys(axis_parameters(axis)[0].name for axis in self.behind.axes)
         return ", ".join(shapes) or f"{self.behind.delay_samples:g} samples late"
 

@@ -30,11 +30,11 @@ from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record
 
 FELT = 0.02
-"""Part of the error that a gain must be to matter: less is not worth a parameter, however sure it is."""
+"""Relative gain below which a parameter is not worth it, however significant."""
 IMPROVED = 0.1
-"""Part by which a block must lower the error to be said to improve the model."""
+"""Relative decrease of the error from which a block improves the model."""
 MOST_WORSE = 0.05
-"""Part of the least error by which a simpler model may leave more where the difference may be chance."""
+"""Relative excess over the least error for a simpler model if the difference may be chance."""
 ROUNDING = 1e-14
 """Mean squared error in parts of the range that counts as none: normal equations in double precision tell
 coefficients to the root of a rounding error, so that of models below it none is the better one."""
@@ -46,11 +46,11 @@ CLOSE = (
     "standard error of it"
 )
 NO_BETTER = f"better by at most {100.0 * FELT:.0f} % or one standard error"
-"""The same in words: rms error of a simpler model that is kept, and what is said of the larger one."""
+"""Texts: condition on the rms error of a simpler model, and statement on the larger one."""
 
 
 def lowers(rms: float, before: float, part: float = FELT) -> bool:
-    """Whether an rms error is below another one by a part of it that matters.
+    """Whether an rms error is below another one by more than the relevant fraction.
 
     Examples
     --------
@@ -97,17 +97,17 @@ class Trial:
 
     @property
     def counted(self) -> Array:
-        """Squares (fold,) that count in the comparison: errors at the level of rounding are equal."""
+        """Squares (fold,) for the comparison: errors at rounding level are equal."""
         return np.maximum(self.squares, ROUNDING)
 
     @property
     def mean(self) -> float:
-        """Mean of them."""
+        """Mean of the counted squares."""
         return float(np.mean(self.counted))
 
 
 def chosen(trials: Sequence[Trial]) -> int:
-    """Trial to keep: the one with the fewest parameters whose rms error is ``CLOSE`` to the least.
+    """Selected trial: the one with the fewest parameters whose rms error is ``CLOSE`` to the least.
 
     The standard error is that of the difference from the best, over the folds (Breiman et al., Classification
     and Regression Trees, 1984, section 3.4.3). Alone it is no criterion: in long records with little noise,
@@ -182,7 +182,7 @@ def trial_of(
     invertible: bool,
     told: bool = True,
 ) -> Trial:
-    """Errors of a model on folds of the records, and whether it is usable.
+    """Cross-validation errors of a model, and whether it is usable.
 
     told : whether the records identify its dynamics
     """
@@ -192,12 +192,12 @@ def trial_of(
 
 
 def enough_readings(candidate: Candidate, records: Sequence[Record]) -> bool:
-    """Whether every free number has at least three readings."""
+    """Whether there are at least three readings per free parameter."""
     return READINGS * parameters_of(candidate) <= sum(record.y_um.size for record in records)
 
 
 def parameters_of(candidate: Candidate) -> int:
-    """Free numbers of a model: weights, thresholds that are shared by the outputs, and the linear block."""
+    """Number of free parameters: weights, thresholds shared by the outputs, and the linear block."""
     hysteresis, dynamics = candidate.hysteresis, candidate.dynamics
     weights = sum(sum(row) for row in hysteresis.operators)
     thresholds = hysteresis.n_beside_weights
@@ -211,7 +211,7 @@ def parameters_of(candidate: Candidate) -> int:
 
 
 def is_stable(dynamics: Dynamics, sample_time_s: float) -> bool:
-    """Whether a linear block forgets: all poles inside the unit circle."""
+    """Whether all poles of a linear block are inside the unit circle."""
     block = discretise(dynamics.model_copy(update={"input_delay_s": 0.0}), sample_time_s)
     return bool((np.abs(np.linalg.eigvals(block.A)) < 1.0).all())
 

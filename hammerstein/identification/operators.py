@@ -1,4 +1,4 @@
-"""Thresholds for given records, and how many of them the records call for."""
+"""Thresholds for given records, and their number."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,7 +75,7 @@ def _samples_per_half_cycle(records: Sequence[Record], k: int) -> float:
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """Errors on held-out parts with one number of operators.
+    """Cross-validation errors with one number of operators.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def error_curve(
 
 
 def enough_operators(curve: Sequence[CurvePoint]) -> int:
-    """Smallest number of operators whose held-out error is within two percent of the least.
+    """Smallest number of operators whose cross-validation error is within two percent of the least.
 
     Examples
     --------

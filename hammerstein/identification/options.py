@@ -1,4 +1,4 @@
-"""Words that choose how a model is identified: the same in scenarios, on the command line and in Python."""
+"""Names of identification options, the same in scenarios, on the command line and in Python."""
 
 from collections.abc import Iterable
 from typing import Literal
@@ -13,15 +13,15 @@ Solver = Literal["closed_form", "least_squares", "nonnegative", "invertible"]
 DynamicsKind = Literal["auto", "none", "lag", "second_order", "state_space"]
 InitialStateMode = Literal["auto", "rest", "repeated"]
 MOST_DEAD_ZONES = 50
-"""Most that are taken of an input."""
+"""Largest number of operators of an input."""
 FEWEST_EXPERIMENTS = 3
-"""Experiments that a search for hysteresis in the loop takes."""
+"""Allowed numbers of experiments of a search for hysteresis in the loop."""
 PLAYS = "prandtl_ishlinskii"
-"""Kind that is fitted where no other one is asked for."""
+"""Default kind."""
 
 
 def identifiable_kinds() -> dict[str, type[Identifiable]]:
-    """Kinds of hysteresis that can be identified, by their name: those of plug-ins, too."""
+    """Identifiable kinds of hysteresis by name, plug-ins included."""
     load_plugins()
     described = {name: file.describes for name, file in HYSTERESIS.kinds.items()}
     return {
@@ -32,7 +32,7 @@ def identifiable_kinds() -> dict[str, type[Identifiable]]:
 
 
 def known_kind(name: str) -> str:
-    """Give the name of a kind of hysteresis back; ValueError, for pydantic, where it cannot be identified."""
+    """Return the name of an identifiable kind of hysteresis; ValueError, for pydantic, for any other name."""
     known = identifiable_kinds()
     if name not in known:
         raise ValueError(unknown_word(name, known))
@@ -40,5 +40,5 @@ def known_kind(name: str) -> str:
 
 
 def unknown_word(word: str, known: Iterable[str]) -> str:
-    """Say that a word is none of those that are known, and which they are."""
+    """State that a word is unknown, and list the known ones."""
     return f"{word!r} is not known; choose one of {', '.join(known)}{suggestion(word, known)}"

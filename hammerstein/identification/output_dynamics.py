@@ -1,4 +1,4 @@
-"""Lag, resonance, creep and delay behind hysteresis of any kind, found together with its weights.
+"""Lag, resonance, creep and delay behind hysteresis of any kind, estimated together with its weights.
 
 Every kind is linear in its weights. Its response to each weight alone is a column; once they have passed the
 axis, the weights are linear unknowns as slopes of plays are, and the search is that of ``axis_steps``.
@@ -41,17 +41,16 @@ from hammerstein.identification.static.regressors import Regressors
 from hammerstein.identification.task import Task
 
 MOST_CREEP = 3
-"""Slow modes of an axis that ``auto`` may come to."""
+"""Largest number of slow modes of an axis with ``auto``."""
 TOLD = 1e-9
 """Power of a combination of columns, in parts of the largest, from which the records tell it."""
 REFINED = 2
-"""Of the places of a coarse grid, those from which a resonance is refined."""
+"""Number of points of a coarse grid from which a resonance is refined."""
 SEARCHED = 1e-3
-"""Gain of a step, in parts of the error, under which a search has arrived: what it decides is two percent."""
+"""Gain of a step, in parts of the error, below which a search has converged; decisions need two percent."""
 FEW, MANY = 7, 39
-"""Combinations of columns, those of the largest power, beside the response of the block as it was found: with
-which a search begins, and with which it decides: with it a number of fours, which go side by side. The last
-fit has them all."""
+"""Combinations of columns of largest power, in addition to the response of the block, at the start of a
+search and for its decision; plus 1, multiples of 4 for the compiled loop. The last fit uses all columns."""
 
 
 class OutputDynamics(NamedTuple):

@@ -1,4 +1,4 @@
-"""One joint covariance of all parameters of a model: thresholds, axes, and the weights that follow them.
+"""Joint covariance of all parameters of a model: thresholds, axes, and the dependent weights.
 
 Linearised about the model, the readings of output o are
 
@@ -118,17 +118,17 @@ def _other_laws(record: Record, start: InitialState, swing_v: Array) -> Iterator
 
 
 STEP = 1e-4
-"""Change of a number for its derivative, in parts of how far it can be from where it is."""
+"""Step of a numerical derivative, in parts of the possible change of the parameter."""
 COUNTED = 50_000
-"""Samples of all records together that count: of longer ones neighbours are averaged, to fit the memory."""
+"""Samples of all records together; neighbours in longer ones are averaged, to fit the memory."""
 RELATED, RELATED_RAD = 16, 0.5
-"""Samples over which what a model misses hangs together at most, and angle of the fastest motion."""
+"""Largest correlation length of the model error in samples, and in radians of the fastest motion."""
 DRAWS = 8
-"""Draws by which the error of the model itself is made as large as the records show."""
+"""Number of draws to scale the model error to that in the records."""
 HIDDEN = 2
-"""Columns of an input, a threshold and a breakpoint, that can be missing: each is worth just too little."""
+"""Missing columns of an input, a threshold and a breakpoint, each just below the limit of acceptance."""
 TOLD = 1e-9
-"""Information on a way of the places, in parts of the largest, from which the records tell it at all."""
+"""Information on a direction of the places, relative to the largest, from which it is identified."""
 SIZED = 4
 """Degrees of freedom of the draws where thresholds and breakpoints were fitted: Student's t.
 
@@ -138,7 +138,7 @@ by a factor of 1.5 more than the draws did, which is the scatter of sqrt(4 / chi
 (``tests/coverage_of_bands/results.md``).
 """
 UNTOLD = 0.9
-"""Standard error in parts of what the cell alone tells, from which the records do not tell a threshold."""
+"""Standard error, relative to that of its cell alone, from which a threshold is unidentified."""
 
 
 def parameter_covariance(

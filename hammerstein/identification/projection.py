@@ -1,4 +1,4 @@
-"""A block of any kind, the axes behind it and its weights fitted at once: variable projection in a box.
+"""Simultaneous fit of a block of any kind, its axes and its weights by bounded variable projection.
 
 Each output is linear in its weights w once the free numbers t of the block and x of its axis are fixed,
 
@@ -50,16 +50,16 @@ from hammerstein.identification.task import Task
 SEARCH_SAMPLES = 20_000
 """Samples of all records together with which the first guesses are tried."""
 SEARCHED = 4
-"""First guesses that are refined; the best of them is refined with all samples."""
+"""Number of first guesses to refine; the best one is refined with all samples."""
 MOST_STEPS, DAMPING = 60, Damping(most=1e6)
 ROUGHLY, ENOUGH = 1e-3, 1e-6
 """Gain of a step, in parts of the error, under which a search has arrived: of a first guess, of the best."""
 NOWHERE = 1e-6
-"""Change of every number under which a step goes nowhere."""
+"""Change of every parameter below which a step has no effect."""
 ROUNDING = 1e-9
-"""Rms error, in parts of the readings, below which nothing but rounding is left."""
+"""Rms error, in parts of the readings, that is only rounding."""
 AT_LIMIT = 1e-6
-"""Distance from its limit under which a free number stands at it."""
+"""Distance from its limit below which a free parameter counts as at it."""
 HELD = 1.5 * LEAST_SLOPE
 """Slope, in parts of the mean one, under which a bound holds it: the bound was set by the mean slope of free
 weights, which is another one. Weights that only keep their sign hold no slope."""
@@ -80,7 +80,7 @@ class BlockFit(NamedTuple):
 
     @property
     def block(self) -> Identifiable:
-        """The same as what can be identified."""
+        """The block as an ``Identifiable``."""
         return cast(Identifiable, self.hysteresis)
 
 

@@ -21,17 +21,15 @@ from hammerstein.records.record import Record, begins_at_rest, dead_start, drive
 from hammerstein.records.turning_points import noise_rms, turning_points
 
 FAR = 3.0
-"""Rms of what is left, in parts of the noise, from which it is said first."""
+"""Residual rms, in parts of the noise, from which it is stated first."""
 LEAST_PART = 5e-4
-"""Rms of what is left, in parts of the range, below which it does not matter."""
+"""Residual rms, in parts of the range, below which it does not matter."""
 STILL_DRIFTS = 0.25
-"""Trend of what is left, in parts of the drift that was seen, from which it is drift and not creep."""
+"""Trend of the residual, in parts of the observed drift, from which it is drift and not creep."""
 STILL_HUMP = 0.5
-"""Part of a hump that must be left for a reading to be clipped: a resonance can swing on while a voltage is
-constant, and a model that has it predicts the hump."""
+"""Residual part of a hump from which the reading is clipped; a model with resonance predicts ringing."""
 MOST_DRIFT = 0.1
-"""Drift of an output, in parts of its range, up to which a model is fit for use: evenly spread it adds 0.29
-of itself to the rms error, which is stated."""
+"""Largest drift of an output for a usable model, in parts of its range; 0.29 of it is in the rms error."""
 UNREPRESENTED_PERCENT = 10.0  # error of an output, of its range, from which the model is no picture of it
 SATURATING_PERCENT = 2.0  # of the range
 SATURATING_RATIO = 3.0
@@ -42,10 +40,9 @@ BUTTERFLY = 0.5
 """Distance of the outputs at the tips, in parts of the range, below which a loop is no rising one."""
 TIP = 0.05  # part of the range about an end of the swing
 RETURNED, WHOLE_SWING = 0.05, 0.5
-"""Part of its range by which an output returns while the voltage goes on, from which a loop turns back on
-itself; swing, in parts of the largest, of which it is asked."""
+"""Return of an output, in parts of its range, during a monotonic voltage; smallest tested relative swing."""
 OTHER_STATE = 5.0
-"""Distance of the states in which two records begin, in parts of the error of the model, that is no error."""
+"""Distance of the initial states of two records, in parts of the model error, from which they differ."""
 OF_A_CREEPING_MODEL = (
     ". The model has creep, but some creep remains in the prediction error, perhaps because of the "
     "kind of model: hammerstein compare tries the others"
@@ -120,7 +117,7 @@ def stated_errors(found: Score, records: Sequence[Record]) -> dict[str, tuple[fl
 def faults_left(
     candidate: Candidate, records: Sequence[Record], starts: Sequence[InitialState]
 ) -> list[Fault]:
-    """Faults of the records; faults that a model can explain count only if they remain in its residual."""
+    """Faults of the records; those that a model can explain count only if they remain in its residual."""
     named = [fault for record in records for fault in faults(record)]
     left = [fault for fault in named if _is_left(fault, candidate, records, starts)]
     dynamics = candidate.dynamics
@@ -130,7 +127,7 @@ def faults_left(
 
 
 def is_flag(fault: Fault, records: Sequence[Record]) -> bool:
-    """Whether a fault makes a model of its record unfit: a slow drift is in the error that is stated."""
+    """Whether a fault makes a model of its record unusable: the stated error includes a slow drift."""
     span = max(float(np.ptp(r.y_um[r.outputs.index(fault.outputs[0])])) for r in records)
     return not 0.0 < fault.drift_um <= MOST_DRIFT * span
 
@@ -175,7 +172,7 @@ def _strongest(records: Sequence[Record], left: Sequence[Array]) -> float:
 
 
 def untried(settings: Settings) -> list[str]:
-    """Options that were not tried, of those that keep a block only where it lowers the error."""
+    """Options that were not tried and that add a block only if it lowers the error."""
     tried = []
     if settings.dynamics in ("none", "lag"):
         tried.append("--dynamics auto")
@@ -202,7 +199,7 @@ def _proposal(settings: Settings, inputs: int) -> str:
 
 
 def flags_of(task: Task, built: CandidateSet, named: Sequence[Fault]) -> list[str]:
-    """What spoils the records, and what a model of this kind cannot represent."""
+    """Faults of the records, and effects that a model of this kind cannot represent."""
     blocks, outputs = built.best.blocks, task.records[0].outputs
     spoiled = {(fault.source, name) for fault in named for name in fault.outputs}
     pairs = direct_pairs(blocks.free.hysteresis.gain(float(half_swing(task.records).max())))
@@ -224,7 +221,7 @@ def record_flags(
     starts: Sequence[InitialState],
     explained: Collection[tuple[str, str]] = (),
 ) -> Iterator[str]:
-    """Records that the model misses by more than ten percent of their range.
+    """Records with an error above ten percent of their range.
 
     White noise is left out, unless an output is nothing else. ``explained`` are records and outputs of which
     the cause is known.
@@ -246,7 +243,7 @@ def record_flags(
 
 
 def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> Iterator[str]:
-    """Records that begin at rest at the same voltages and positions, and in different states for the model.
+    """Records that begin at rest at equal voltages and positions, but in different states of the model.
 
     Of the same state, the reading that belongs to an output of zero is the same.
 
@@ -279,7 +276,7 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
 def shape_flags(
     task: Task, free: StaticFit, one_sign: StaticFit, direct: Sequence[tuple[int, int]]
 ) -> Iterator[str]:
-    """Saturating loops: weights of one sign miss them, and the branches flatten towards the tips.
+    """Saturating loops: weights of one sign do not fit them, and the branches flatten towards the tips.
 
     Parameters
     ----------
@@ -301,7 +298,7 @@ def shape_flags(
 
 
 def butterfly_flags(records: Sequence[Record], direct: Sequence[tuple[int, int]]) -> Iterator[str]:
-    """Butterfly loops: the output is alike at both tips of the voltage, though it moves in between."""
+    """Butterfly loops: the output is equal at both tips of the voltage, but moves in between."""
     for o, k in direct:
         for record in records:
             u, y = record.u_v[k], record.y_um[o]

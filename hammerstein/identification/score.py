@@ -1,4 +1,4 @@
-"""Predictions of a model for a record, with the sensor that its data sheet tells, and their errors."""
+"""Predictions of a model for a record, sensor included, and their errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -42,7 +42,7 @@ AT_REST = 0.01
 
 @dataclass(frozen=True)
 class SensorModel:
-    """Sensor whose readings lag and come late by what is known.
+    """Sensor with known lag and delay.
 
     A reading that is late by so many samples and a part of one is that of voltages as late: whole samples are
     taken off a record before anything else is done with it, each by its own sample time, and the part that is
@@ -58,11 +58,11 @@ class SensorModel:
     delay_s: float = 0.0
 
     def part_s(self, sample_time_s: float) -> float:
-        """What whole samples leave of the delay [s]."""
+        """Fraction of a sample of the delay [s]."""
         return split_delay(self.delay_s, sample_time_s)[1]
 
     def prompt(self, record: Record) -> Record:
-        """The record with its readings earlier by the whole samples of the delay; their row numbers stay.
+        """The record without the whole samples of the delay; row numbers do not change.
 
         A period that is repeated goes on at its beginning; of any other record the last voltages go, whose
         readings are not known.
@@ -128,7 +128,7 @@ class SensorModel:
         return dynamics.model_copy(update=late)
 
     def paths(self, dynamics: Dynamics, records: Sequence[Record]) -> list[LinearBlock]:
-        """Path of each record; none at all where nothing stands between static block and reading."""
+        """Path of each record; none without dynamics between static block and reading."""
         late = dynamics.input_delay_s or any(self.part_s(record.sample_time_s) for record in records)
         if isinstance(dynamics, StaticDynamics) and self.bandwidth_hz is None and not late:
             return []
@@ -141,7 +141,7 @@ _block = lru_cache(maxsize=16)(SensorModel.block)
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model under judgement: static block, linear block, and the sensor that stands behind them.
+    """Candidate model: static block, linear block and sensor.
 
     at_limit : whether one of its numbers ended at the limit of what the records can determine
     placed : whether the places of its hysteresis were fitted
@@ -160,18 +160,18 @@ class Candidate:
 
     @property
     def slow_s(self) -> float:
-        """Longest time constant of its creep [s]; 0 for a model that does not creep."""
+        """Longest time constant of its creep [s]; 0 without creep."""
         axes = self.dynamics.axes if isinstance(self.dynamics, AxesDynamics) else ()
         return max((mode.time_constant_s for axis in axes for mode in axis.creep), default=0.0)
 
     def own_starts(
         self, records: Sequence[Record], starts: Sequence[InitialState], mode: InitialStateMode = "auto"
     ) -> tuple[InitialState, ...]:
-        """Start of each record that suits this model, on the samples that count for all models."""
+        """Initial state of each record for this model, on the samples that count for all models."""
         return own_starts(records, starts, self.predict, mode, self.slow_s)
 
     def predict(self, record: Record, start: InitialState) -> Array:
-        """Readings (output, sample) to the voltages of a record, without offset [um]."""
+        """Predicted readings (output, sample) for the voltages of a record, without offset [um]."""
         block = _block(self.sensor, self.dynamics, record.sample_time_s)
         hysteresis = self.hysteresis.counted_from(record.rest_v).on_grid(record.sample_time_s)
         before = begun(hysteresis, record, start)
@@ -190,13 +190,13 @@ class Candidate:
         return np.asarray(y[-len(record.y_um) :])
 
     def has_inverse(self, records: Sequence[Record]) -> bool:
-        """Whether it has an inverse over the largest swing of the records, from where they count."""
+        """Whether it has an inverse over the largest swing in the counted samples."""
         first, swing_v = records[0], float(half_swing(records).max())
         block = self.hysteresis.counted_from(first.rest_v)
         return invertibility_of(block, self.dynamics, swing_v, first.sample_time_s, first.inputs)[0]
 
     def residual(self, record: Record, start: InitialState) -> Array:
-        """Reading less prediction (output, sample) over the samples that count, each about its mean [um]."""
+        """Reading minus prediction (output, sample) over the counted samples, about the mean [um]."""
         error = (record.y_um - self.predict(record, start))[:, start.first :]
         return np.asarray(error - error.mean(axis=1, keepdims=True))
 
@@ -217,7 +217,7 @@ def columns_of(
 
 
 def bends_of(block: Identifiable, record: Record, start: InitialState) -> tuple[Array, Array]:
-    """Derivatives (number, output, sample) of the outputs by the free numbers, and before the record."""
+    """Derivatives (number, output, sample) of the outputs by the free parameters, and before the record."""
     here, driven = _driven(block, record, start)
     return here.bends(*driven)
 
@@ -233,7 +233,7 @@ def _driven(
 
 @dataclass(frozen=True)
 class Score:
-    """How far a model is off, one number for each output.
+    """Errors of a model, one number per output.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def invertibility_of(
     sample_time_s: float,
     inputs: Sequence[str],
 ) -> tuple[bool, str]:
-    """Whether a model has an inverse, and a sentence that names the slope or the frequency to blame.
+    """Whether a model has an inverse, and a sentence with the slope or frequency that prevents it.
 
     range_v : as ``invertibility`` takes it [V]
     """

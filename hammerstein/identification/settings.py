@@ -1,4 +1,4 @@
-"""How an identification is done: one value, checked once."""
+"""Settings of an identification."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Settings(ByValue):
         refuse("identification", [*unknown, *self._misfits(), *self._bad_numbers()])
 
     def without_auto(self) -> Settings:
-        """The same with plain choices for what would be found from the records by plays alone.
+        """The same with fixed choices in place of ``auto``, which needs plays.
 
         A kind of hysteresis that is no bank of plays would be chosen by what plays make of its own effects: a
         lag for thresholds that grow with the rate.
@@ -117,7 +117,7 @@ class Settings(ByValue):
         return replace(self, **chosen)
 
     def with_plays(self) -> Settings:
-        """The same with plays in place of another kind of hysteresis."""
+        """The same with plays instead of another kind of hysteresis."""
         return replace(self, hysteresis=PLAYS, dead_zones=None)
 
     def _misfits(self) -> Iterator[Mistake]:
@@ -190,7 +190,7 @@ class Settings(ByValue):
 
     @property
     def sensor(self) -> SensorModel:
-        """What is known of the sensor."""
+        """Known properties of the sensor."""
         return SensorModel(self.sensor_bandwidth_hz, self.sensor_delay_s)
 
     @property
@@ -215,7 +215,7 @@ class Settings(ByValue):
 
     @property
     def start_mode(self) -> InitialStateMode:
-        """Without a model of how it rings, a start from rest cannot be told from the records."""
+        """Mode of the initial states; with a state space, ``auto`` cannot detect a start from rest."""
         return "repeated" if self.dynamics == "state_space" and self.start == "auto" else self.start
 
     @property

@@ -1,4 +1,4 @@
-"""Models with a linear block in state space, beside those without dynamics."""
+"""Candidate models with and without a linear block in state space."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class StateSpaceTrial:
 
 
 def build_state_space(task: Task) -> CandidateSet:
-    """All four kinds, with a state-space model of the order asked for, or of the fewest states that do."""
+    """All four kinds, with a state-space model of the requested order, or of the lowest sufficient one."""
     static = build_static(without_dynamics(task))
     trials = _orders_tried(task)
     least = min(trial.error for trial in trials)

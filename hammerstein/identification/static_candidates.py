@@ -1,4 +1,4 @@
-"""Models without dynamics: a linear gain, and static hysteresis with thresholds begun with or fitted."""
+"""Candidate models without dynamics: linear gain, and static hysteresis with initial or fitted thresholds."""
 
 from dataclasses import replace
 from typing import Any
@@ -35,7 +35,7 @@ KEPT = "fitted thresholds do not lower the error: they are uniform in time"
 
 
 def build_static(task: Task) -> CandidateSet:
-    """Linear gain and static hysteresis, the latter with fitted thresholds if they are asked for and gain."""
+    """Linear gain and static hysteresis, the latter with fitted thresholds if requested and better."""
     return finished_static(task, begun_static(task))
 
 
@@ -79,7 +79,7 @@ def finished_static(task: Task, built: CandidateSet) -> CandidateSet:
 
 
 def late_static(task: Task) -> Task:
-    """The task with the delay that suits its thresholds without dynamics, if none was given.
+    """The task with the best delay for its thresholds without dynamics, if none was given.
 
     Single loops cannot tell it from hysteresis, and coarse thresholds look like a delay.
     """
@@ -96,7 +96,7 @@ def late_static(task: Task) -> Task:
 
 
 def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solver: str) -> WeightFits:
-    """Weights by the requested solver, and by the two it is compared with."""
+    """Weights by the requested solver, and by two others for comparison."""
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
     moments = static_moments(
@@ -126,18 +126,18 @@ def _closed_form(task: Task, free: StaticFit) -> StaticFit:
 
 
 def without_dynamics(task: Task) -> Task:
-    """The task with the delay that suits a model without dynamics."""
+    """The task with the best delay for a model without dynamics."""
     own = task.static_delay_samples
     return task if own is None else replace(task, delay_samples=own)
 
 
 def of_fitted(task: Task, thresholds_v: Thresholds, dynamics: AxesDynamics | StaticDynamics) -> WeightFits:
-    """Weights of thresholds that were fitted."""
+    """Weights for fitted thresholds."""
     return replace(static_blocks(task, thresholds_v, dynamics, task.settings.solver), fitted=True)
 
 
 def lost_inverse(task: Task, start: WeightFits, found: WeightFits) -> bool:
-    """Whether the static block had an inverse with the thresholds begun with, and has none any more."""
+    """Whether fitting the thresholds made the static block non-invertible."""
     amplitude, record = float(half_swing(task.records).max()), task.records[0]
     told = StaticDynamics(n_outputs=task.outputs)
     before, now = (

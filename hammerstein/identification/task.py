@@ -1,4 +1,4 @@
-"""Records during their identification, and the models that were fitted to them."""
+"""Records during identification, and the models fitted to them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Records with all that is known before the candidates are fitted.
+    """Records with all information from before the fit of the candidates.
 
     Delays are those beside the sensor's. ``static_delay_samples`` is the delay that suits a model without
     dynamics, where it is another.
@@ -92,7 +92,7 @@ class WeightFits:
 
 @dataclass(frozen=True, eq=False)
 class FittedModel:
-    """One model that was fitted, with what tells how."""
+    """Fitted model with details of its fit."""
 
     candidate: Candidate
     blocks: WeightFits
@@ -118,7 +118,7 @@ class CandidateSet:
 
     @property
     def best(self) -> FittedModel:
-        """The largest model that was kept so far."""
+        """Largest accepted model."""
         return self.found[self.kind]
 
     @property
@@ -128,5 +128,5 @@ class CandidateSet:
 
 
 def thresholds_of(blocks: WeightFits) -> list[list[Array]]:
-    """Thresholds (output, input) of the block by the solver that was asked for [V]."""
+    """Thresholds (output, input) of the block by the requested solver [V]."""
     return [[pair.thresholds_v for pair in row] for row in blocks.chosen.hysteresis.pairs]

@@ -1,4 +1,4 @@
-"""How sure all parameters of a model are, together, and draws of the actuators that it may as well be."""
+"""Joint covariance of all parameters of a model, and random actuators drawn from it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class ParameterCovariance(ByValue):
         return tuple(np.hypot(own, follow) for own, follow in zip(given, moved, strict=True))
 
     def beside_creep(self, before: Dynamics, after: AxesDynamics) -> ParameterCovariance:
-        """Give the same where slow modes, which are held, have come behind the numbers of the axes before."""
+        """Return the same for axes with additional slow modes, which are held constant."""
         axes = before.axes if isinstance(before, AxesDynamics) else (Axis(),) * len(after.axes)
         free = np.array([len(axis.free) for axis in axes])
         ends = len(self.factor) - free.sum() + np.cumsum(free)
@@ -74,7 +74,7 @@ class ParameterCovariance(ByValue):
         return ParameterCovariance(factor, following, fitted, open_, self.degrees)
 
     def misfit(self, hysteresis: Hysteresis[Any], dynamics: Dynamics) -> str | None:
-        """Why it is not that of a model; nothing where it is."""
+        """Reason why it does not fit a model; empty if it does."""
         size, counts = len(beside_weights(hysteresis, dynamics)), [len(w) for w in hysteresis.weights]
         if len(self.factor) != size or [m.shape for m in self.following] != [(n, size) for n in counts]:
             return f"must have {size} rows, and for each of {len(counts)} outputs {size} numbers a weight"
@@ -84,7 +84,7 @@ class ParameterCovariance(ByValue):
 
 
 def beside_weights(hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Array:
-    """Numbers (number,) beside the weights: places and free numbers of the hysteresis, then the axes."""
+    """Parameters (number,) other than weights: places and free ones of the hysteresis, then the axes."""
     own = (*hysteresis.places, hysteresis.free) if isinstance(hysteresis, Identifiable) else ()
     axes = dynamics.free if isinstance(dynamics, AxesDynamics) else np.empty(0)
     return np.concatenate([*own, axes])
@@ -93,7 +93,7 @@ def beside_weights(hysteresis: Hysteresis[Any], dynamics: Dynamics) -> Array:
 def with_beside_weights(
     hysteresis: Hysteresis[Any], dynamics: Dynamics, x: Array
 ) -> tuple[Hysteresis[Any], Dynamics]:
-    """Return both blocks with other numbers beside the weights."""
+    """Return both blocks with other values of these parameters."""
     if isinstance(hysteresis, Identifiable):
         ends = np.cumsum([len(part) for part in (*hysteresis.places, hysteresis.free)])
         *places, free, x = np.split(x, ends)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hammerstein.model.simulation import Plant, Response, Wire
 
 MOST_NAMED = 3
-"""Records that the origin of a model names."""
+"""Most records in the origin of a model."""
 NUMBERS = re.compile(r"\[\s+([-+0-9.eE,\s]+?)\s+\]")
 
 
@@ -272,7 +272,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         return self.hysteresis.counted_from(ends.mean(axis=0)) if np.isfinite(ends).all() else self.hysteresis
 
     def amplitude(self, amplitude_v: ArrayLike) -> Array:
-        """Half heights (output, input) [um] of the settled loops at slow voltages of an amplitude [V].
+        """Half heights (output, input) [um] of the settled, slow loops at a voltage amplitude [V].
 
         The voltages are about the middle of the recorded range.
 
@@ -285,7 +285,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         return self.dynamics.block().slow_ends(static) if isinstance(self.dynamics, WithLoop) else static
 
     def gain(self, amplitude_v: float) -> Array:
-        """Gain matrix (output, input) [um/V] of the settled loops at a slow voltage of an amplitude [V]."""
+        """Gain matrix (output, input) [um/V] of the settled, slow loops at a voltage amplitude [V]."""
         return self.amplitude(amplitude_v) / amplitude_v
 
     def extremes(self, low_v: Array, high_v: Array) -> tuple[Array, Array]:
@@ -309,7 +309,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         return self.hysteresis.respond(drive_v - np.reshape(rest, (-1, 1)) if any(rest) else drive_v, start)
 
     def static_part(self, drive_v: Array, start: Any, first: int, stop: int, v_um: Array) -> Any:
-        """Put such outputs into v_um (output, sample) from one sample up to another; give the state after."""
+        """Write such outputs into v_um (output, sample) for a range of samples; return the state after."""
         if not any(self.recorded.working_point_v):
             return self.hysteresis.carry_on(drive_v, start, first, stop, v_um)
         v_um[:, first:stop], after = self.static_response(drive_v[:, first:stop], start)
@@ -400,11 +400,11 @@ def packaged_actuators() -> list[str]:
 
 
 LARGEST_MODEL_BYTES = 5_000_000
-"""Models of several axes with hundreds of operators have a tenth of it."""
+"""Largest model file; several axes with hundreds of operators need a tenth of it."""
 
 
 TABLES = (".csv", ".txt", ".dat", ".npy", ".npz", ".mat", ".parquet", ".xlsx", ".tdms", ".h5", ".hdf5")
-"""Files that hold records or paths, and no model."""
+"""Suffixes of records and paths, which are no models."""
 
 
 def model_text(name: str) -> str:

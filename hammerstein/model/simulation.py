@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 Wire = Literal["reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um"]
 WIRES = ("reference_um", "requested_v", "drive_v", "hysteresis_um", "position_um", "reading_um")
-"""In the order of the block diagram."""
+"""Wires in the order of the block diagram."""
 
 
 BLOCK = 16_384
-"""Samples that go through the whole chain before the next ones do: they stay in the processor's cache."""
+"""Samples that pass the whole chain at a time, so that they fit the cache."""
 
 
 def within(limits: Range, wires: Sequence[Array], first: int, stop: int) -> bool:
@@ -124,7 +124,7 @@ class Response(NotebookRepr):
         return replace(self, known=True, **cut)
 
     def wires(self) -> dict[str, NDArray[Any]]:
-        """Every signal that this run has, by name, and where the range clipped the voltage."""
+        """Signals of this run by name, and the samples at which the range clipped the voltage."""
         return {**self._given(), "saturated": self.saturated}
 
     def _given(self) -> dict[str, Array]:
@@ -149,7 +149,7 @@ class Response(NotebookRepr):
     def to_time_response(
         self, outputs: Sequence[Wire] = ("position_um",), inputs: Sequence[Wire] | None = None
     ) -> control.TimeResponseData:
-        """Return the run as ``control.TimeResponseData``, for its ``plot`` and all that takes one.
+        """Return the run as ``control.TimeResponseData``, for example for ``plot``.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Response(NotebookRepr):
         return found
 
     def every(self, samples: int) -> Response:
-        """Record one of so many samples, from the first on; one cut voltage among them counts."""
+        """Keep every n-th sample; it counts as clipped if any of the n samples is."""
         if samples == 1:
             return self
         starts = np.arange(0, self.drive_v.shape[1], samples)
@@ -194,7 +194,7 @@ class Response(NotebookRepr):
 
     @classmethod
     def joined(cls, parts: Sequence[Response]) -> Response:
-        """Put the parts of one run together."""
+        """Join the parts of one run."""
         first = parts[0]
         if len(parts) == 1:
             return first
@@ -257,11 +257,11 @@ class Plant:
 
     @cached_property
     def range(self) -> DriveRange:
-        """Voltages that the drive can give; before the first one the actuator rests at its working point."""
+        """Range of the drive; before the first voltage, the actuator rests at its working point."""
         return DriveRange.of(self.instruments.drive.limits(self.model.hysteresis.n_inputs).T, self.model)
 
     def rest(self, seed: list[int]) -> PlantState:
-        """State of an actuator that was never driven, and of a sensor at the start of its noise."""
+        """State of an actuator at rest, and of a sensor at the start of its noise."""
         return PlantState(*self._at_rest, np.random.default_rng(seed))
 
     @cached_property

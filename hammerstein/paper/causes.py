@@ -1,4 +1,4 @@
-"""Why a claim is not met: the same figure with one factor of the chain changed at a time."""
+"""Causes of unmet claims: the simulated figure with one or two factors changed."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,17 +21,17 @@ from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.source import ClosedFormSpec, ModelSource
 
-PASSES = 16  # of the law of the paper, where one is not enough
-FINER = 4  # parts of a sample
+PASSES = 16  # of the paper's law, if one is not enough
+FINER = 4  # divisor of the sample time
 LOW_HZ = 10.0
-"""Where resonance and sensor do not count."""
+"""Frequency at which resonance and sensor have no effect."""
 
 
 class Variation(NamedTuple):
     """One or two factors of the chain changed, both in identification and in the run.
 
     factors : changed factors; words : description, such as ``with an ideal sensor``
-    scenario, model : what is run then
+    scenario, model : changed scenario and model
     """
 
     factors: tuple[FactorName, ...]
@@ -69,9 +69,9 @@ class Repeats:
 def changes_of(
     scenario: Scenario, model: HammersteinModel, claim: Claim, repeats: Repeats, store: Store | None = None
 ) -> Iterator[Change]:
-    """What the figure of a claim becomes with each factor changed alone; NaN where it cannot be simulated.
+    """Figure of a claim with each factor changed alone; NaN where it cannot be simulated.
 
-    A change that brings agreement is repeated, to tell whether it always does. Where no single factor brings
+    A change that brings agreement is repeated with other seeds and sample times. If no single factor brings
     agreement, every pair is tried, too.
     """
     own, enough = _of_claim(scenario, claim), False
@@ -84,7 +84,7 @@ def changes_of(
 
 
 def _change(variation: Variation, claim: Claim, repeats: Repeats, store: Store | None) -> Change:
-    """What a variation makes of a claim; where its sample time is changed, only seeds are repeated."""
+    """Figure of a claim with a variation; if that changes the sample time, only seeds are repeated."""
     first = _value(variation.scenario, variation.model, claim, store)
     again: Iterable[Scenario] = ()
     if claim.agreement.holds(first, claim.paper):
@@ -95,14 +95,14 @@ def _change(variation: Variation, claim: Claim, repeats: Repeats, store: Store |
 
 
 def variations(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
-    """Every factor that applies, changed alone."""
+    """Variations of each applicable factor alone."""
     for effect in _effects(claim):
         if (found := effect(scenario, model, claim)) is not None:
             yield found
 
 
 def pairs(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Iterator[Variation]:
-    """Every two factors that apply, changed together."""
+    """Variations of each pair of applicable factors."""
     for first, second in combinations(_effects(claim), 2):
         once = first(scenario, model, claim)
         twice = None if once is None else second(once.scenario, once.model, claim)
@@ -127,7 +127,7 @@ def _dynamics(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Vari
 
 def _passes(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     changed = with_passes(scenario, PASSES)
-    words = f"with {PASSES} passes a sample"
+    words = f"with {PASSES} passes per sample"
     return None if changed is None else Variation(("passes",), words, changed, model)
 
 
@@ -140,18 +140,18 @@ def _sample_time(scenario: Scenario, model: HammersteinModel, claim: Claim) -> V
 def _amplitude(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
     volts = amplitude_of_path(scenario, model, claim)
     changed = identified_with(scenario, "amplitude_v", volts) if volts < model.amplitude_v else None
-    words = f"identified at {volts:.2g} V"
+    words = f"with identification at {volts:.2g} V"
     return None if changed is None else Variation(("identification_amplitude",), words, changed, model)
 
 
 def _frequency(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
-    """A claim that compares frequencies, or follows one from where it was found, is not asked this."""
+    """Not for claims that compare identification frequencies or count octaves from one."""
     tested = [s.identification for s in (*scenario.compensators, *scenario.models) if s.is_tested]
     frequencies = {spec.frequency_hz for spec in tested if isinstance(spec, ClosedFormSpec)}
     if claim.quantity.found_hz is not None or len(frequencies) != 1:
         return None
     changed = identified_with(scenario, "frequency_hz", LOW_HZ)
-    words = f"identified at {LOW_HZ:g} Hz"
+    words = f"with identification at {LOW_HZ:g} Hz"
     return None if changed is None else Variation(("identification_frequency",), words, changed, model)
 
 
@@ -180,7 +180,7 @@ def rows_needed(
     model: HammersteinModel,
     store: Store | None = None,
 ) -> list[Row]:
-    """Rows that the claims select, from the cases alone that have them."""
+    """Rows that the claims select; only cases that contain them are simulated."""
     setup = set_up(scenario, name, model=model, store=store)
     cases = [
         case
@@ -198,7 +198,7 @@ def _value(scenario: Scenario, model: HammersteinModel, claim: Claim, store: Sto
 
 
 def _of_claim(scenario: Scenario, claim: Claim) -> Scenario:
-    """The scenario with the compensators or models alone that the claim names, each in its position."""
+    """The scenario with only those compensators or models that the claim names, in their positions."""
     named = {q.compensator for q in (claim.quantity, claim.over) if q is not None}
     if None in named:
         return scenario
@@ -218,7 +218,7 @@ def _with_sources(scenario: Scenario, change: Callable[[Any], Any]) -> Scenario 
 
 
 def with_passes(scenario: Scenario, passes: int) -> Scenario | None:
-    """The scenario with so many passes of the paper's law in a sample; None where it has no such law."""
+    """The scenario with this number of passes of the paper's law per sample; None without such a law."""
 
     def change(source: ModelSource) -> ModelSource:
         is_paper = isinstance(source, InverseMultiplicative)
@@ -240,7 +240,7 @@ def identified_with(scenario: Scenario, key: str, value: float) -> Scenario | No
 
 
 def amplitude_of_path(scenario: Scenario, model: HammersteinModel, claim: Claim) -> float:
-    """Voltage [V] whose settled loops are as high as the path of the claim, on the axis that needs most."""
+    """Voltage [V] whose settled loops reach the amplitude of the claim's path on every axis."""
     signal = next(iter(scenario.signals())).model_dump()
     if scenario.drive is not None:
         return float(claim.quantity.amplitude_v or signal.get("amplitude_v", model.amplitude_v))

@@ -1,4 +1,4 @@
-"""Claims of a publication: each a statement, its figure, and the rows of a run that give it."""
+"""Claims of a publication: statement, printed figure, and rows of a run to compare it with."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -24,19 +24,19 @@ _REDUCE: dict[str, Callable[[Sequence[float]], float]] = {
 FactorName = Literal[
     "sensor", "dynamics", "passes", "sample_time", "identification_amplitude", "identification_frequency"
 ]
-"""A part of the chain that can be changed alone, to find the cause of a figure."""
+"""Part of the simulated chain that can be changed alone to find a cause."""
 
 
 SIDES: dict[str, float] = {"octaves_below": -1.0, "octaves_above": 1.0}
-"""Where a figure is followed from the frequency that a model was found at, and the sign of that."""
+"""Direction of octaves from the identification frequency."""
 
 
 class Quantity(Strict):
-    """A number found in the rows of a report.
+    """A number computed from rows of a report.
 
-    ``metric`` of the rows that are selected, reduced by ``of``: in ``spread`` the largest is divided by the
-    smallest; ``octaves_below`` and ``octaves_above`` count the octaves from ``found_hz`` to where it first
-    is more than ``times`` what it is there. A sweep that ends before that gives no number.
+    ``metric`` of the selected rows, reduced by ``of``: ``spread`` is the largest over the smallest;
+    ``octaves_below`` and ``octaves_above`` count the octaves from ``found_hz`` to where the metric first
+    exceeds ``times`` its value at ``found_hz``. A sweep that ends before that gives no number.
     """
 
     metric: MetricName = Field(description="figure of merit, a column of the report")
@@ -73,26 +73,26 @@ class Quantity(Strict):
         return held(octaves, self.times)
 
     def reduced(self, values: Sequence[float]) -> float:
-        """One number of several; NaN of none."""
+        """Reduce values to one number; NaN if there are none."""
         return _REDUCE[self.of](values) if values else math.nan
 
     def known(self, rows: Iterable[Row]) -> list[tuple[Row, float]]:
-        """Rows that are selected and have the metric, with it."""
+        """Selected rows that have the metric, with its value."""
         found = [(row, getattr(row, self.metric)) for row in rows if self.selects(row)]
         return [(row, value) for row, value in found if value is not None]
 
     def selects(self, row: Row) -> bool:
-        """Whether a row takes part."""
+        """Whether a row is selected."""
         same = all(getattr(self, name) in (None, getattr(row, name)) for name in KEY)
         above = self.from_hz is None or row.frequency_hz >= self.from_hz
         return same and above and (self.to_hz is None or row.frequency_hz <= self.to_hz)
 
 
 def held(figures: Iterable[tuple[float, float]], times: float) -> float:
-    """Octaves from the first frequency to where a figure is first more than ``times`` what it is there.
+    """Octaves from the first frequency to where a figure first exceeds ``times`` its value there.
 
-    Between two frequencies the figure is a power of the frequency. NaN where it is not known at zero octaves,
-    or where the sweep ends first.
+    Interpolation between frequencies is log-log. NaN where the figure is unknown at zero octaves, or where
+    the sweep ends first.
 
     figures : octaves from the first frequency, negative on the other side, and the figure there
     """
@@ -110,7 +110,7 @@ def held(figures: Iterable[tuple[float, float]], times: float) -> float:
 
 
 class Agreement(Strict):
-    """What counts as agreement: a relative distance from the paper's figure, or bounds."""
+    """Condition of agreement: a relative distance from the paper's figure, or bounds."""
 
     within: Agreed | None = Field(default=None, description="relative distance from the paper's number")
     at_most: Figure | None = Field(default=None, description="largest value that agrees")
@@ -129,7 +129,7 @@ class Agreement(Strict):
         return near and below and (self.at_least is None or value >= self.at_least) and not math.isnan(value)
 
     def words(self) -> str:
-        """Say it as a person would."""
+        """The condition in words."""
         if self.within is None and self.at_most is not None and self.at_least is not None:
             return f"{self.at_least:g} to {self.at_most:g}"
         parts = [
@@ -187,7 +187,7 @@ class Claim(Strict):
         return self.factor * self.quantity.value(rows) / divisor if divisor else math.nan
 
     def selects(self, row: Row) -> bool:
-        """Whether a row takes part in the figure."""
+        """Whether the figure uses a row."""
         return self.quantity.selects(row) or (self.over is not None and self.over.selects(row))
 
 

@@ -15,12 +15,12 @@ CLAIMED = "value"  # the number of a claim
 CAUSES: dict[FactorName, str] = {
     "sensor": "the sensor",
     "dynamics": "the dynamics",
-    "passes": "the law's one pass a sample",
+    "passes": "the single pass of the law per sample",
     "sample_time": "the sample time",
     "identification_amplitude": "the amplitude of identification",
     "identification_frequency": "the frequency of identification",
 }
-WANDERS = 1.5  # a ratio whose ends differ by more has a divisor near the noise
+WANDERS = 1.5  # the divisor of a ratio with a wider range is near the noise
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Simulated:
 
     @property
     def word(self) -> str:
-        """Verdict as pages say it."""
+        """Verdict as text."""
         return "undecided" if self.agrees is None else "met" if self.agrees else "not met"
 
     def as_dict(self) -> dict[str, object]:
@@ -127,7 +127,7 @@ class Change:
 class ClaimJudgement(Judgement):
     """A claim and its figure on the simulated actuators; the first is the scenario's own.
 
-    reason : why it does not agree, in one short sentence; details : result of every change
+    reason : why the claim is not met, in one short sentence; details : result of every change
     cause : the only factor, or pair of factors, that gives agreement; empty if there is none or several
     """
 
@@ -259,27 +259,27 @@ def _open(own: Simulated) -> str:
 
 
 def _sentences(said: Sequence[str]) -> str:
-    """Join what there is; each begins large."""
+    """Join sentences and capitalise them; empty ones are left out."""
     return ". ".join(text[0].upper() + text[1:] for text in said if text)
 
 
 def _cut(claim: Claim, rows: Sequence[Row]) -> str:
-    """Say that the drive's range clipped the voltage in the rows of a claim."""
+    """Number of samples of a claim that the range of the drive clipped, in words."""
     cut = max((row.saturated_samples or 0 for row in rows if claim.selects(row)), default=0)
     return f"the reference exceeds the range: the drive clipped {cut:g} samples" if cut else ""
 
 
 def _cause(changes: Sequence[Change]) -> tuple[str, str]:
-    """The change that alone brings agreement, and a sentence of at most fifteen words about it.
+    """The change that alone brings agreement, and a sentence of about fifteen words.
 
-    A single factor goes before pairs. Of several that suffice none is the cause.
+    Single factors take precedence over pairs. If several suffice, none is the cause.
     """
     enough = [c for c in changes if c.agrees]
     singles = [c for c in enough if " + " not in c.factor]
     found = singles or enough
     if len(found) == 1:
         cause = found[0].cause
-        return cause, f"{cause[0].upper()}{cause[1:]}: {found[0].shown} {found[0].words}."
+        return cause, f"The claim is met {found[0].words}: the value is {found[0].shown}."
     what = "change" if singles else "pair of changes"
     if found:
         return "", f"Not unique: more than one {what} brings agreement."

@@ -145,7 +145,7 @@ class Met(NamedTuple):
     verdicts: Sequence[bool | None]
 
     def text(self) -> str:
-        """How many hold, of how many."""
+        """Counts of met and undecided claims."""
         met, undecided = self.verdicts.count(True), self.verdicts.count(None)
         return f"{met} of {len(self.verdicts)} met, {undecided} undecided"
 

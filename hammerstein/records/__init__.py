@@ -1,1 +1,1 @@
-"""Measured records: reading, checking, how they were driven, and their loops."""
+"""Measured records: reading, checks, excitation and loops."""

@@ -1,4 +1,4 @@
-"""Arrays in NumPy, MATLAB, HDF5, Excel and TDMS files, and how one column of them is named."""
+"""Arrays in NumPy, MATLAB, HDF5, Excel and TDMS files, and the names of their columns."""
 
 import math
 import re
@@ -33,11 +33,11 @@ GENERIC_HDF5 = (".h5", ".hdf5")
 EXCEL, TDMS = ".xlsx", ".tdms"
 SUFFIXES = (".npy", ".npz", ".mat", *GENERIC_HDF5, EXCEL, TDMS)
 MOST_OBJECTS = 100_000
-"""Of an HDF5 file: more are no record."""
+"""Most variables of an HDF5 file; a file with more is no record."""
 
 
 def array_columns(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
-    """Columns (column, sample) of a file of arrays, of any of ``SUFFIXES``, and the unit that each states.
+    """Columns (column, sample) of a file of arrays with a suffix of ``SUFFIXES``, and their stated units.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def array_columns(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
 
 
 def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
-    """Names of the arrays of a file, and how long they are and how their columns are named.
+    """Names of the arrays of a file, their lengths, and the names of their columns.
 
     Raises InputError where the file cannot be read.
     """
@@ -95,7 +95,7 @@ def _described(name: str, variable: Variable) -> str:
 
 
 def whole_array(path: Path, variable: str) -> Array:
-    """One array with all its axes; the variable may be empty where the file holds a single one.
+    """One array with all its axes; the variable may be empty if the file has a single one.
 
     Raises
     ------

@@ -15,11 +15,11 @@ from hammerstein.records.turning_points import quantum
 from hammerstein.signals.text_tables import SHOWN, not_listed, where
 
 MOST_NUMBERS = 50_000_000
-"""As many numbers are read from one variable; a file that declares more is not opened up."""
+"""Most numbers of one variable; a file that declares more is not unpacked."""
 
 
 def refuse_large(shape: Sequence[int], bytes_each: int = 8) -> None:
-    """Refuse an array before it is unpacked, by the shape that its file declares.
+    """Refuse an array before it is unpacked, based on the declared shape.
 
     bytes_each : of an entry; a text counts as so many numbers as would take its place
     """
@@ -35,16 +35,16 @@ def refuse_large(shape: Sequence[int], bytes_each: int = 8) -> None:
 
 FEWEST_SAMPLES = 20  # fewer show no loop
 CLIPPED_RUN = 4
-"""Equal extreme samples in a row that make a suspicion of clipping."""
+"""Consecutive equal extreme samples from which clipping is suspected."""
 FEW_GAPS = 0.01
-"""Part of the steps that are gaps, beyond which it is the clock that jitters."""
+"""Fraction of gaps in the steps, above which the clock jitters."""
 AROUND_GAP = 3
 """Samples on each side of a gap over which it must remain."""
 SPANS = {
     "input": (1e-4, 1e4, "V", "--input-scale 1e3 if the file is in kV", "--input-scale 1e-3 if it is in mV"),
     "output": (1e-3, 1e5, "um", "--units m or --units mm", "--units nm"),
 }
-"""Least and greatest span of a record, their unit, and what to try outside: it is a matter of units."""
+"""Smallest and largest span of a record, their unit, and the unit to try outside."""
 
 
 def runs(flags: Flags) -> Indices:
@@ -69,7 +69,7 @@ def gap_mistakes(names: Sequence[str], values: Array, rows: Indices) -> Iterator
 def far_mistakes(
     names: Sequence[str], values: Array, rows: Indices, limit: Range, unit: str
 ) -> Iterator[Mistake]:
-    """Numbers that no voltage or displacement is, with which no sum can be taken; values (column, sample)."""
+    """Numbers too large for a voltage or displacement, which would overflow sums; values (column, sample)."""
     for name, column in zip(names, values, strict=True):
         far = runs(np.isfinite(column) & ((column < limit.low) | (column > limit.high)))
         for start, stop in far[:SHOWN]:
@@ -81,7 +81,7 @@ def far_mistakes(
 
 
 def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str) -> Iterator[Mistake]:
-    """All columns of one kind are constant: values (column, sample)."""
+    """Mistake if all columns of one kind are constant; values (column, sample)."""
     if values.size == 0 or any(moves(column) for column in values):
         return
     for name, column in zip(names, values, strict=True):
@@ -89,7 +89,7 @@ def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str
 
 
 def still_mistake(place: str, column: Array, kind: str) -> Mistake:
-    """One column that never moves."""
+    """Mistake for a constant column."""
     remedy = (
         "add a record that drives it, or remove it from --inputs"
         if kind == "input"
@@ -99,12 +99,12 @@ def still_mistake(place: str, column: Array, kind: str) -> Mistake:
 
 
 def moves(column: Array) -> bool:
-    """Whether a column does more than repeat one number with rounding errors."""
+    """Whether a column is more than a constant with rounding errors."""
     return float(np.ptp(column)) > 1e-9 * float(np.abs(column).max())
 
 
 def unit_mistake(place: str, span: float, kind: str) -> Mistake | None:
-    """A range that no record in V or um can have, with the unit to try."""
+    """Mistake for a range that is impossible in V or um, with the unit to try."""
     low, high, unit, too_small, too_large = SPANS[kind]
     if low <= span <= high:
         return None
@@ -145,7 +145,7 @@ def _clipped(u: Array, column: Array, side: float) -> list[tuple[int, int]]:
 
 
 def time_mistakes(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
-    """Places at which a time column is not a uniform grid: steps back, gaps, jitter."""
+    """Rows at which a time column is not a uniform grid: steps back, gaps, jitter."""
     steps = np.diff(time_s)
     typical = float(np.median(steps))
     back = np.flatnonzero(steps <= 0)
@@ -187,7 +187,7 @@ def _time_gap(name: str, time_s: Array, rows: Indices, k: int, typical: float) -
 
 
 def hidden_gaps(name: str, time_s: Array, rows: Indices) -> list[Mistake]:
-    """Missing samples that a time column shows, in any unit and with as few digits as it likes.
+    """Missing samples according to a time column, in any unit and with any number of digits.
 
     Jitter and equal instants are no matter where the rate is known; a jump away from the grid that lasts is.
     """
@@ -219,7 +219,7 @@ def _lasts(time_s: Array, k: int, typical: float) -> bool:
 
 
 def time_tolerance(time_s: Array) -> float:
-    """Distance from the uniform grid that is allowed: a tenth of a sample, or the last digit written."""
+    """Allowed distance from the uniform grid: a tenth of a sample, or the last digit."""
     step = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     return min(max(0.1 * step, 1.05 * _last_digit(time_s)), 0.6 * step)
 
@@ -236,7 +236,7 @@ def _last_digit(time_s: Array) -> float:
 
 
 def sample_time(time_s: Array) -> float:
-    """Sample time of a uniform time column [s], at a whole rate [Hz] where the last digit allows one."""
+    """Sample time of a uniform time column [s], for an integer rate [Hz] if the last digit allows one."""
     step = float(time_s[-1] - time_s[0]) / (len(time_s) - 1)
     rate = round(1.0 / step)
     allowed = 2.0 * max(_last_digit(time_s), 1e-9 * step) / (len(time_s) - 1)

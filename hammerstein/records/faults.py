@@ -1,4 +1,4 @@
-"""Faults of a record that a model would otherwise take for behaviour of the actuator, each by its name.
+"""Faults of a record that a model would otherwise attribute to the actuator.
 
 Every suspicion is a comparison: the outputs are fitted by plays and delayed copies of the voltages, once as
 they are and once with what the fault would add. A fault is named only where that explains far more.
@@ -21,11 +21,11 @@ from hammerstein.signals.units import spoken
 
 PLAYS = 16  # of the fit by which drift and bending are judged
 REMAINS = 0.25
-"""Part of a record that must remain behind its run-in for drift and saturation to be looked for."""
+"""Part of a record that must remain after its run-in for the tests of drift and saturation."""
 DRIFT = 0.005
-"""Smallest drift that is told, in parts of the largest range of the outputs."""
+"""Smallest drift that is reported, in parts of the largest range of the outputs."""
 DRIFT_EXPLAINS = 0.75
-"""Part to which a trend in time must lower the error."""
+"""Largest error ratio with and without a trend in time from which it is drift."""
 BENT = 0.01
 """Error of a fit, in parts of the largest range, from which it is asked whether an output saturates."""
 BENT_EXPLAINS = 0.6
@@ -57,7 +57,7 @@ HUMP = 0.01
 
 
 class Fault(NamedTuple):
-    """A fault and the outputs that it spoils.
+    """A fault and the affected outputs.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def _reached(u: Array, start: int, stop: int) -> bool:
 
 
 def hump(y: Array) -> Array:
-    """How far the middle of a part stands above both of its ends (output,); negative if above one only."""
+    """Height of the middle of a part above both of its ends (output,); negative if above one only."""
     tenth = max(y.shape[1] // 8, 1)
     half = y.shape[1] // 2
     middle = y[:, half - tenth : half + tenth + 1].mean(axis=1)

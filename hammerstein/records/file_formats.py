@@ -1,4 +1,4 @@
-"""Formats of files that NumPy does not read: MATLAB 4 to 7.2, workbooks of Excel, TDMS of LabVIEW."""
+"""Readers for formats that NumPy does not support: MATLAB 4 to 7.2, Excel workbooks, LabVIEW TDMS."""
 
 import math
 import zipfile
@@ -23,16 +23,16 @@ MEMBER_BYTES = 100  # of an empty member of a cell or structure, about
 MATRIX, COMPRESSED = 14, 15
 """Types of an element (MAT-File Format, data types)."""
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""How numbers are stored, by the type in their tag."""
+"""Storage types of numbers, by the type in their tag."""
 TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 CELL, STRUCTURE, TEXT = 1, 2, 4
 """Classes of an array (MAT-File Format, MATLAB array types)."""
 ARRAYS = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
-"""What arrays of numbers are in MATLAB, by their class."""
+"""NumPy types of MATLAB arrays, by their class."""
 IS_COMPLEX = 0x08
 """Flag of an array (MAT-File Format, array flags)."""
 UNREAD = object()
-"""Stands for a variable of a class that is left out."""
+"""Placeholder for a variable of an unsupported class."""
 
 
 class Element(NamedTuple):
@@ -43,7 +43,7 @@ class Element(NamedTuple):
 
 
 class Reader:
-    """Elements of one file of a byte order, none of which is larger than the rest of the file allows."""
+    """Elements of a file of one byte order; none may exceed the remaining file."""
 
     def __init__(self, order: str, most_bytes: int):
         self.order, self.most_bytes = order, most_bytes
@@ -59,14 +59,14 @@ class Reader:
             )
 
     def elements(self, data: memoryview) -> Iterator[Element]:
-        """All elements that follow each other in some bytes."""
+        """All consecutive elements in a buffer."""
         place = 0
         while place + 8 <= len(data):
             element, place = self.element(data, place)
             yield element
 
     def element(self, data: memoryview, place: int) -> tuple[Element, int]:
-        """One element, and where the next one begins."""
+        """One element, and the position of the next one."""
         if place + 8 > len(data):
             raise ValueError("it is cut short")
         kind, size = (int(n) for n in np.frombuffer(data[place : place + 8], f"{self.order}u4"))
@@ -94,7 +94,7 @@ class Reader:
         return memoryview(whole)
 
     def numbers(self, element: Element, count: int) -> NDArray[Any]:
-        """So many numbers of an element, in the type in which they are stored."""
+        """A given count of numbers of an element, in their stored type."""
         stored = NUMBERS.get(element.kind)
         if stored is None:
             raise ValueError(f"an array is stored as type {element.kind}, which holds no numbers")
@@ -163,12 +163,12 @@ class Reader:
 
 
 def is_matlab_v5(begin: bytes) -> bool:
-    """Whether a file begins as those of version 5 to 7.2 do; others have no byte order at its place."""
+    """Whether a file begins like versions 5 to 7.2, with a byte order mark."""
     return begin[126:HEADER_BYTES] in (b"IM", b"MI") and 0 not in begin[:4]
 
 
 def is_matlab_v4(begin: bytes) -> bool:
-    """Whether a file begins as those of version 4 do, with a small number: the only ones that SciPy reads."""
+    """Whether a file begins like version 4, with a small number; only these are read with SciPy."""
     return len(begin) >= 4 and 0 in begin[:4]
 
 

@@ -1,4 +1,4 @@
-"""Gain from each voltage to each output, which reveals wrong units."""
+"""Gain from each voltage to each output, to detect wrong units."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -28,7 +28,7 @@ samples asks for no rate as slow as that."""
 IN_US_HZ = 0.1
 """Slower than any record of a loop: with times in microseconds, converters run at 0.01 to 0.05 Hz."""
 FAST_HZ = 1e5
-"""Faster than this no voltage that drives an actuator goes to and fro."""
+"""Highest frequency of a drive voltage [Hz]."""
 JUMP = 0.25
 """Step of an output from one sample to the next, in parts of the largest range that is left without it, from
 which it is a jump: of the stage in its mount, of a sensor, or where records were put together."""
@@ -95,7 +95,7 @@ def pair_gains(records: Sequence[Record]) -> list[Gain]:
 
 
 def doubtful_responses(records: Sequence[Record]) -> Iterator[str]:
-    """Sentences about records whose outputs are a copy of a voltage, or do not answer to any.
+    """Sentences about records whose outputs are a copy of a voltage, or do not respond to any.
 
     An output answers where the voltages, their squares and their rates explain a part of it, or the last
     voltages a part of what its own last samples leave.
@@ -153,7 +153,7 @@ def doubtful_jumps(records: Sequence[Record]) -> Iterator[str]:
 
 
 def doubtful_clocks(records: Sequence[Record]) -> Iterator[str]:
-    """Sentences about records whose times may be in another unit: sampled slowly and yet finely, or fast.
+    """Sentences about records whose times may be in another unit: too slow for their density, or too fast.
 
     Examples
     --------
@@ -217,7 +217,7 @@ def _explain(y: Array, known: Sequence[Array], more: Sequence[Array]) -> bool:
 
 
 def doubtful_gains(gains: Sequence[Gain]) -> list[str]:
-    """Sentences about inputs whose strongest effect is none that an actuator has.
+    """Sentences about inputs whose strongest gain is implausible for an actuator.
 
     Examples
     --------
@@ -236,7 +236,7 @@ def doubtful_gains(gains: Sequence[Gain]) -> list[str]:
 
 
 def doubtful_units(gains: Sequence[Gain]) -> list[str]:
-    """Sentences about outputs whose numbers, taken as um, are no travel of a piezo actuator.
+    """Sentences about outputs with an implausible travel for a piezo actuator in um.
 
     Examples
     --------
@@ -261,7 +261,7 @@ def _travel(um: float) -> str:
 
 
 def doubtful_order(gains: Sequence[Gain]) -> list[str]:
-    """A sentence where every output follows the input of another one: its columns may be exchanged.
+    """A sentence if every output follows the input of another one, so that columns may be exchanged.
 
     Examples
     --------
@@ -305,7 +305,7 @@ FARTHEST_LEAD_RAD = -0.8
 
 
 def lag_rad(records: Sequence[Record]) -> Array:
-    """Phase by which each output lags each input [rad], over the slower half of the excitation.
+    """Phase lag of each output behind each input [rad], over the slower half of the excitation.
 
     The angle of the response S_yu S_uu^-1, for a gain of either sign: between -pi/2 and pi/2. Both spectra
     are summed over all records, and over the lines with the slower half of the inputs' power. A hysteresis
@@ -358,7 +358,7 @@ def _unit(signals: Array) -> Array:
 
 
 def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
-    """Pairs (output, input) in which the output runs ahead of the input, as in swapped columns.
+    """Pairs (output, input) in which the output leads the input, as with swapped columns.
 
     Only the output that responds most to an input counts, and only a lead of 0.03 to 0.8 rad at a positive
     gain: a larger lead looks like the lag of a resonance. The output must also lead over the whole excited
@@ -398,7 +398,7 @@ def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
 
 
 def refuse_swapped(records: Sequence[Record]) -> None:
-    """Refuse records whose outputs run ahead of their inputs.
+    """Refuse records whose outputs lead their inputs.
 
     Raises
     ------

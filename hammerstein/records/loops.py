@@ -1,4 +1,4 @@
-"""Hysteresis loops in measured records: size, width, area, closure, drift, and whether they have settled.
+"""Hysteresis loops in measured records: size, width, area, closure, drift, and settling.
 
 A loop runs from one turning point of a voltage to the next but one. Its lines are found on the voltage,
 which is commanded and clean, so that sensor noise opens no loop and closes none.
@@ -147,7 +147,7 @@ def loop_table(record: Record) -> list[Loop]:
 
 
 def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
-    """Loops that a person looks at, in their order: of each pair the settled ones, or else the widest.
+    """Loops for a table, in order of time: of each pair the settled ones, or else the widest.
 
     The hundreds of excursions of a multisine are neither, and small ones that turn backwards are resonances.
 
@@ -183,7 +183,7 @@ def telling_loops(loops: Sequence[Loop], most: int | None = None) -> list[Loop]:
 
 
 def turned_backwards(loops: Sequence[Loop]) -> str | None:
-    """Why the widths of a record are no hysteresis, where its loops turn the other way; else None.
+    """Reason why the widths of a record are no hysteresis, if its loops turn the wrong way; else None.
 
     An actuator's output lags. A settled loop in which it seems to lead is one of swapped columns, or one that
     was driven so fast that the output lags by more than half a turn. Of each input only the output that it
@@ -213,7 +213,7 @@ def turned_backwards(loops: Sequence[Loop]) -> str | None:
 
 
 def ringing(record: Record, loops: Sequence[Loop]) -> str | None:
-    """Why the widths of a record are not those of hysteresis alone, where an output rings along a branch.
+    """Reason why the widths of a record include more than hysteresis, if an output rings; else None.
 
     Between two turns of the voltage, hysteresis bends an output once. One that swings about such a bend many
     times rings: at the mid voltage, the loop is as wide as the ringing happens to be there. Of each input
@@ -310,13 +310,13 @@ def _closed(u: Array, cycle: Excursion) -> bool:
 
 
 def move_at_once(record: Record) -> bool:
-    """Whether several inputs move and none has a cycle alone, so that no loop belongs to a single pair."""
+    """Whether several inputs move without a cycle of one alone, so that no loop belongs to a single pair."""
     driven = driven_inputs(record)
     return len(driven) > 1 and not any(widest_cycle([record], k) for k in driven)
 
 
 def without_loops(record: Record) -> str:
-    """Why a record has no loop, as a sentence with a remedy."""
+    """Reason why a record has no loop, as a sentence with a remedy."""
     driven = [record.inputs[k] for k in driven_inputs(record)]
     if len(driven) > 1:
         return (

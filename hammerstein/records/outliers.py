@@ -1,4 +1,4 @@
-"""Outliers: lost cells, spikes and glitches are detected, excluded and listed.
+"""Outliers: detects, excludes and lists lost cells, spikes and glitches.
 
 A sample is suspect if its column jumps away and back, or leaves the range of all others. A robust fit of the
 outputs decides: plays and delayed copies of the voltages, fitted without the suspects. A suspect output is
@@ -24,7 +24,7 @@ from hammerstein.signals.text_tables import SHOWN, where
 LAGS = (1, 2, 3, 5, 8, 13)
 """Samples by which voltages are delayed: they take up what dynamics and delay do at the edges."""
 FITTED = 40_000
-"""Samples of which a fit is made."""
+"""Number of samples for a fit."""
 CHUNK = 256
 """Samples of one product: small enough that BLAS does it on one core."""
 
@@ -51,7 +51,7 @@ def regressors(u: Array, plays: int, stride: int = 1) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Products of signals with each other, from which fits of one by any others follow.
+    """Products of signals with each other, for fits of one signal by others.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Products:
         return cls(np.matmul(stack, stack.transpose(0, 2, 1)).sum(axis=0) + rest @ rest.T, samples)
 
     def fit(self, columns: Sequence[int], target: int) -> tuple[Array, float]:
-        """Weights of signals that fit another signal best, and the rms error.
+        """Least-squares weights of signals that fit another signal, and the rms error.
 
         Examples
         --------
@@ -275,7 +275,7 @@ def outlier_mistakes(outliers: Sequence[Outliers]) -> list[Mistake]:
 
 
 def listed(names: Sequence[str], values: Array, lost: Flags, rows: Indices) -> list[Outliers]:
-    """Outliers of each column that has some; values (column, sample) as they were read."""
+    """Outliers of each affected column; values (column, sample) as read."""
     return [
         Outliers(name, rows[flags], row[flags], len(row))
         for name, row, flags in zip(names, values, lost, strict=True)

@@ -1,4 +1,4 @@
-"""Columns of numbers out of files: text, NumPy, MATLAB and Parquet.
+"""Columns of numbers from files: text, NumPy, MATLAB and Parquet.
 
 How a column is named
     by its name in the header or by its number from 1: text, Parquet and two-dimensional arrays;
@@ -58,7 +58,7 @@ class Columns(NamedTuple):
 
 
 def read_columns(path: str | Path, wanted: Sequence[str]) -> Columns:
-    """Columns of one file; the end of its name tells the format.
+    """Columns of one file; its suffix selects the format.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Header:
 
     @classmethod
     def of(cls, path: str | Path) -> Header:
-        """Return that of a file; an array is known by its name and by the unit that the file states.
+        """Header of a file; arrays have a name and the unit that the file states.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class Header:
         return cls(tuple(layout.names), tuple(map(unit_in, texts)))
 
     def measuring(self, kind: Kind) -> list[str]:
-        """Columns with a unit of a kind, by name; by number where the name does not tell them apart."""
+        """Columns with a unit of a kind, by name, or by number if names are equal."""
         found = [k for k, unit in enumerate(self.units) if unit is not None and unit.kind == kind]
         return [
             self.names[k] if self.names and self.names.count(self.names[k]) == 1 else str(k + 1)
@@ -134,7 +134,7 @@ class Header:
         ]
 
     def called_time(self) -> list[str]:
-        """Columns that are called a time."""
+        """Columns with the name of a time."""
         return [name for name in self.names if (without_unit(name) or name).lower() in TIME_NAMES]
 
     def listed(self) -> str:
@@ -145,7 +145,7 @@ class Header:
 
 
 def named_time(path: str | Path) -> Columns | None:
-    """The column of a file that is called a time, if it has one that can be read.
+    """Readable time column of a file, if there is one.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def read_array(path: str | Path, variable: str | None = None) -> Array:
 
 
 def refuse_missing(path: Path) -> Path:
-    """Return a path, and refuse one of no file with something in it that may be read, such as a pipe.
+    """Return a path; refuse any that is no readable, non-empty file, such as a pipe.
 
     Models, reports and scenarios are refused, too.
     """

@@ -32,7 +32,7 @@ PathLike = str | Path
 
 AXES = ("sample", "channel", "experiment", "period")
 OTHER_RATE = 0.01
-"""Part by which a rate may differ from the one of the file's time column."""
+"""Relative difference allowed between a rate and the file's time column."""
 
 
 def read_records(

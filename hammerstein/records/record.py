@@ -1,4 +1,4 @@
-"""A record of an actuator: voltages, displacements, how its inputs were driven, what is mended in it."""
+"""Record of an actuator: voltages, displacements, excitation of its inputs, and repaired samples."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class Record(NotebookRepr):
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second [Hz]."""
+        """Sample rate [Hz]."""
         return 1.0 / self.sample_time_s
 
     def part(self, start: int, stop: int) -> Record:
@@ -175,7 +175,7 @@ DRIVEN_SHARE = 0.01
 """An input that moves by less than this part of the largest one is held, not driven."""
 FEWEST_AT_REST = 3  # samples, before a drift at rest is spoken of
 RESTING = 1e-4
-"""Part of its range by which an output at rest may move."""
+"""Motion of an output that still counts as rest, in parts of its range."""
 TREND_PARTS = 4  # of the time at rest, whose means show a trend
 GROWS = 0.6
 """Largest deviation of the first half of a time, in parts of that of the whole, below which it is no flicker
@@ -202,7 +202,7 @@ def driven_inputs(record: Record) -> tuple[int, ...]:
 
 
 def driven_alone(record: Record, k: int, start: int, stop: int) -> bool:
-    """Whether the other inputs rest between two samples, both included.
+    """Whether the other inputs are constant between two samples, both included.
 
     Parameters
     ----------
@@ -228,12 +228,12 @@ def dead_start(record: Record) -> int:
 
 
 def begins_at_rest(record: Record) -> bool:
-    """Whether voltages and outputs stand still for long enough at the beginning."""
+    """Whether voltages and outputs are constant for long enough at the beginning."""
     return dead_start(record) + 1 >= FEWEST_AT_REST
 
 
 def moves_while_held(record: Record) -> bool:
-    """Whether an output rings or creeps at the beginning, while every driven voltage stands still."""
+    """Whether an output rings or creeps at the beginning while every driven voltage is constant."""
     held = _held(record)
     return not all(_rests(y[: held + 1], y) for y in record.y_um)
 
@@ -255,7 +255,7 @@ def _rests(still: Array, whole: Array) -> bool:
 
 
 def run_in(record: Record) -> int:
-    """Samples until every driven voltage has been near both its extremes: earlier history is forgotten."""
+    """Samples until every driven voltage has visited both extremes, which erases earlier history."""
     last = 0
     for k in driven_inputs(record):
         u = record.u_v[k]

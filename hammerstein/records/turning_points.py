@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array, Indices
 
 ORDERS = range(2, 9)
-"""Orders of difference tried. Each passes white noise alike and removes more of a smooth signal."""
+"""Orders of difference that are tried; higher ones remove more of a smooth signal."""
 
 SMALLEST_SWING = 1e-3
-"""Part of the range under which a reversal is no turn of the experiment, however clean the signal."""
+"""Smallest reversal that is a turn, in parts of the range, however clean the signal."""
 
 
 LARGEST_BAND = 0.25
-"""Part of the range above which a swing is one, however rough the signal: a switching voltage is no noise."""
+"""Swing that is never noise, in parts of the range: a switching voltage looks rough."""
 
 
 def noise_rms(x: ArrayLike) -> float:
@@ -57,7 +57,7 @@ def noise_rms(x: ArrayLike) -> float:
 
 
 def quantum(x: ArrayLike) -> float:
-    """Step of the lattice on which all samples lie; 0 if there is none.
+    """Quantisation step of all samples; 0 if there is none.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def dead_band(x: ArrayLike) -> float:
 
 
 MINOR_SHARE = 0.5
-"""An excursion smaller than this part of the swing beside it lies on a branch; a larger one is a cycle."""
+"""Largest excursion on a branch, in parts of the adjacent swing; larger ones are cycles."""
 
 
 def turning_points(u_v: ArrayLike, band_v: float | None = None) -> Indices:
@@ -235,7 +235,7 @@ def _return(u: Array, start: int, turn: int, limit: int) -> int:
 
 
 def _main_cycles(u: Array, points: list[int], band: float) -> list[Excursion]:
-    """One excursion for every second turn; an end of the record joins in if it stands on a turn's level."""
+    """One excursion for every second turn; an end of the record counts as a turn if it has a turn's level."""
     last = len(points) - 1
     if last < 2:
         return []

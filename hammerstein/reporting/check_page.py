@@ -11,9 +11,9 @@ from hammerstein.runtime.manifest import Owner
 CHECK_PAGE = Owner("check page", single=True)
 FIRST_SHOWN = ("rms_um", "gain", "height_um", "max_um", "value")
 MOST_METRICS = 2
-"""Figures of merit that are drawn of a scenario; the table has all."""
+"""Most figures of merit that are drawn for a scenario; the table has all."""
 MOST_FIGURES = 30
-"""Of one page: more load too slowly."""
+"""Most figures of one page; more load too slowly."""
 
 MOST_CHANGED = "At most three rows are drawn, those that changed most."
 NOT_DRAWN = "There is no figure: this run has no number of the baseline."

@@ -1,4 +1,4 @@
-"""A comparison of models as a page for people."""
+"""Page of a comparison of models."""
 
 import shlex
 from collections.abc import Collection
@@ -19,7 +19,7 @@ ALWAYS = ("compare.html", "compare.json", "compare.md")
 CAPTION = (
     "One line for each model, with its number of parameters in brackets. (a): errors on the validation "
     "records (filled) and on the fitted ones (hollow; filled if there are no others), one symbol for each "
-    "frequency. (b): error of its compensator; the model with the lowest cross-validation error replaces "
+    "frequency. (b): compensator error; the model with the lowest cross-validation error replaces "
     "the actuator."
 )
 
@@ -77,8 +77,8 @@ def _body(found: Comparison) -> Markdown:
 
 
 def figures(entry: Compared) -> dict[str, str]:
-    """Figures of a model by their heads; no times: two comparisons of the same records make the same page."""
-    held = {"validation [%]": f"{entry.held.mean_percent:.3g}"} if entry.held else {}
+    """Figures of a model by heading, without times, so that equal comparisons give equal pages."""
+    held = {"validation [%]": f"{entry.validation.mean_percent:.3g}"} if entry.validation else {}
     return {
         "parameters": str(entry.parameters),
         "fitted [%]": f"{entry.fitted.mean_percent:.3g}",
@@ -91,7 +91,7 @@ def figures(entry: Compared) -> dict[str, str]:
 
 
 def next_command(found: Comparison, folder: Path) -> str:
-    """Command that compensates with the recommended model; empty where nothing inverts it."""
+    """Command that compensates with the recommended model; empty without an inverse."""
     chosen = found[found.recommended]
     law = chosen.left.law
     words = ("compensate", str(folder / chosen.file), "path.csv", "--law", law, "--out", "drive.csv")

@@ -1,4 +1,4 @@
-"""The account of an identification as a page for people and as JSON for programs."""
+"""Fit report as a page and as JSON."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ FIT = Owner("fit")
 MODEL = Owner("model", single=True)
 ALWAYS = ("fit.json", "report.html", "report.md")
 MOSTLY = 0.7
-"""Noise of a record, in parts of an error there, from which half of its power is noise."""
+"""Noise of a record, in parts of the error, from which half of the error's power is noise."""
 MOST_REMARKS = 2
-"""Limits of a model that a terminal shows; the report lists all."""
+"""Most limits of a model on a terminal; the report lists all."""
 
 CAPTIONS = {
     "loops": (
@@ -83,7 +83,7 @@ BEGINNINGS = {
 
 
 def fit_json(model: HammersteinModel, fit: Fit) -> str:
-    """Everything about a fit as one JSON object: full precision, sorted keys, equal fits give equal bytes."""
+    """Complete fit as one JSON object: full precision, sorted keys, equal fits give equal bytes."""
     plain = fit.as_dict() | {
         "model": model.name,
         "dynamics": model.dynamics.model_dump(mode="json"),
@@ -145,7 +145,7 @@ def write_fit(
 
 
 def summary(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> list[Markdown]:
-    """Whether the model is usable and for what, three numbers, and the next command."""
+    """Usability of the model, three numbers, and the next command."""
     numbers = [_error(fit)]
     if "linear" in fit.judged and fit.kind != "linear":
         linear = max(fit.judged["linear"].nrmse_percent)
@@ -208,7 +208,7 @@ def _usable(fit: Fit) -> tuple[str, str]:
 
 
 def next_step(model: HammersteinModel, fit: Fit, asked: Asked | None = None) -> tuple[str, str]:
-    """What to do next in words, and the whole command that does it, where one does."""
+    """Next step in words, and its command if there is one."""
     if not fit.invertible:
         if asked is None:
             return f"Next: {fit.invertibility}", ""

@@ -1,4 +1,4 @@
-"""Write a report's folder: numbers, page, figures, traces.
+"""Files of a report: numbers, page, figures, traces.
 
 Nothing is run or drawn again where the store has it and nothing has changed for it.
 """
@@ -59,12 +59,12 @@ class Writer:
     png: bool = False
 
     def on(self, jobs: Jobs) -> Writer:
-        """Return the writer of what these workers find."""
+        """Return the writer for results of these workers."""
         elsewhere = getattr(jobs, "elsewhere", "")
         return self if self.store is None else replace(self, store=self.store.computed(elsewhere))
 
     def prepare(self, names: Iterable[str]) -> None:
-        """Refuse folders that cannot take a report, before the work; InputError says why."""
+        """Before the work, raise InputError for folders that cannot hold a report."""
         for name in names:
             prepare(self.out / name, REPORT, ALWAYS, self.overwrite)
 
@@ -98,7 +98,7 @@ class Writer:
         return stage.kept
 
     def again(self, name: str, scenario: Scenario) -> tuple[Report, tuple[Path, ...]] | None:
-        """Write the report of an earlier run, if nothing that it depends on has changed.
+        """Write the stored report of an earlier run with equal inputs.
 
         Gives the report, without its traces, and the places of files that were kept; None where it must be
         run.
@@ -140,7 +140,7 @@ def _matlab(columns: dict[str, Array], path: Path) -> bytes:
 
 
 def drawn(report: Report, store: Store | None = None, png: bool = False) -> dict[str, bytes]:
-    """Bytes of each file of a report's figures by name; drawn where the store does not have them.
+    """Bytes of each file of a report's figures by name, from the store or newly drawn.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def drawn(report: Report, store: Store | None = None, png: bool = False) -> dict
 
 
 def key_of_figures(report: Report, png: bool) -> str | None:
-    """Key of all figures of a report, which no question and no tolerance changes; None as for a report."""
+    """Key of all figures of a report, independent of question and tolerances; None as for a report."""
     try:
         portable, files = report.scenario.content()
     except OSError:
@@ -179,7 +179,7 @@ def _bytes(entry: Kept) -> dict[str, bytes]:
 
 
 def keep(store: Store, key: str, report: Report, folder: Path, names: list[str]) -> None:
-    """Keep a report and its files, as they were written into a folder, if nobody has changed one since."""
+    """Store a report and its files from a folder, if they are unchanged."""
     listed = Manifest.read(folder).files
     contents = {name: (folder / name).read_bytes() for name in names}
     if all(name in listed and digest_of(folder / name) == listed[name].sha256 for name in names):

@@ -1,4 +1,4 @@
-"""Plots to zoom into, by bokeh, whose bundle is in the page, so that the page loads nothing."""
+"""Interactive plots by bokeh, whose code is embedded in the page."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PLACE = "plots"
-"""Id of the element that they are put into."""
+"""Id of the element for the plots."""
 
 
 def refuse_without_library() -> None:
-    """Raise InputError where bokeh is not installed, before the work."""
+    """Before the work, raise InputError if bokeh is not installed."""
     if importlib.util.find_spec("bokeh") is None:
         raise InputError(
             "--interactive",
@@ -29,7 +29,7 @@ def refuse_without_library() -> None:
 
 
 def interactive_of(figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Figure]]) -> Markup:
-    """Scripts that fill the place of plots to zoom into; empty without figures. Equal figures: equal bytes.
+    """Scripts of interactive plots; empty without figures. Equal figures give equal bytes.
 
     Parameters
     ----------

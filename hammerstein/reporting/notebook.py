@@ -30,7 +30,7 @@ SHOWN_AMPLITUDES = (1.0, 0.5, 0.25)  # of the model's amplitude
 
 
 def html_of(value: Any) -> str:
-    """Text and, where there is one, picture of a value as HTML that needs no other file."""
+    """Text and, if available, picture of a value as self-contained HTML."""
     shown = f"<p><code>{html.escape(repr(value))}</code></p>"
     figure = picture_of(value)
     if figure is None:
@@ -41,7 +41,7 @@ def html_of(value: Any) -> str:
 
 @singledispatch
 def picture_of(value: Any) -> Figure | None:
-    """Picture of a value; None where there is none."""
+    """Picture of a value; None if there is none."""
     return None
 
 

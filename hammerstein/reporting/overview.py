@@ -29,7 +29,7 @@ MOST_LINES = 7  # of what an assessment found, on the terminal
 
 
 Card = dict[str, Any]
-"""One scenario, as the template shows it."""
+"""One scenario, for the template."""
 
 
 def write_overview(reports: Sequence[Report], out: Path, overwrite: bool = False) -> tuple[Path, ...]:
@@ -44,7 +44,7 @@ def write_overview(reports: Sequence[Report], out: Path, overwrite: bool = False
 
 
 def digest(reports: Sequence[Report], out: Path) -> list[str]:
-    """At most fifteen lines on many reports: what to open, three headlines, where claims are judged.
+    """At most fifteen lines on many reports: files to open, three headlines, place of the claims.
 
     Headlines are of reports without judgements, one of each kind of signal first.
     """

@@ -24,22 +24,22 @@ if TYPE_CHECKING:
     from markdown_it.token import Token
 
 LARGEST_LINK_BYTES = 200_000
-"""A larger file is linked where it lies beside the page, not carried along."""
+"""Size from which a file is linked beside the page instead of embedded."""
 MOST_BESIDE = 4
 """Columns that fit beside each other on a telephone."""
 FOLDED = "details"
 """Column whose cells open at a click."""
 LEVEL = 8
-"""Letters of a head that a telephone does not turn upright in such a table."""
+"""Letters of a heading up to which it stays horizontal on a telephone."""
 LONGEST_NUMBER = 36
-"""Characters of a cell; a longer one holds words."""
+"""Length of a cell from which it counts as text."""
 NO_PLOTS = Markup()
 _OPTION = re.compile(r"(?<!\S)--?[a-z][\w-]*")
-"""Option of a command, in which no line ends."""
+"""Option of a command, which must not be broken across lines."""
 
 
 def rendered(template: str, **content: Any) -> str:
-    """Fill a template; every text in it is escaped, and what a terminal would obey is made visible."""
+    """Fill a template; all texts are escaped, and terminal control characters are made visible."""
     return environment().get_template(template).render(**content)
 
 
@@ -55,7 +55,7 @@ def environment() -> Environment:
 
 
 def html_of(text: Markdown, drawn: Mapping[str, bytes] | None = None) -> tuple[Markup, list[tuple[str, str]]]:
-    r"""Markdown of ours as HTML, and its headings of the second level with their ids.
+    r"""HTML from Markdown of this program, and its second-level headings with their ids.
 
     drawn : figures that its pictures name, as SVG; they stand where the pictures do, each with its caption
 
@@ -165,7 +165,7 @@ _REFERENCE = re.compile(r"#([\w.-]+)")
 
 
 def inlined(svg: bytes, prefix: str, title: str) -> Markup:
-    """Drawing of ``svg_of`` as an element of a page, each of its parts a drawing of its own.
+    """Drawing of ``svg_of`` as an element of a page, each part as a separate drawing.
 
     Ids get the prefix, since all drawings of a page share their names. Each part knows its place in percent
     of the whole, and its width in points.
@@ -213,7 +213,7 @@ class NumberFile(NamedTuple):
 
     @property
     def href(self) -> str:
-        """Link that holds the whole file where it is small, so that it comes along with the page."""
+        """Link that embeds the whole file if it is small."""
         data = self.content.encode("utf-8")
         if len(data) > LARGEST_LINK_BYTES:
             return self.name
@@ -221,7 +221,7 @@ class NumberFile(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Result of a judgement in few words, and whether everything is as required."""
+    """Result of a judgement in few words, and whether everything agrees."""
 
     words: str
     good: bool
@@ -284,7 +284,7 @@ class Page:
 
 
 class Shown(NamedTuple):
-    """A figure on a page: its file without ending, what it is, and how to read it."""
+    """Figure on a page: file without suffix, title, and caption."""
 
     name: str
     title: str
@@ -310,5 +310,5 @@ def points(texts: Iterable[str]) -> Markdown:
 
 
 def paragraphs(parts: Iterable[str]) -> Markdown:
-    """Parts of a page below each other, but for empty ones."""
+    """Parts of a page below each other, without empty ones."""
     return Markdown("\n\n").join(part for part in parts if part)

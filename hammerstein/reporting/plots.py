@@ -1,4 +1,4 @@
-"""Figures of matplotlib as plots of bokeh: the same curves, to zoom into, with values under the pointer."""
+"""Conversion of matplotlib figures to bokeh: interactive, with values at the pointer."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ DASHES = ("dashed", "dotdash", "dotted", "dashdot")
 
 
 def plots_of(figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Figure]]) -> UIElement | None:
-    """All figures below each other, those of one step at a time; None where there are none."""
+    """All figures below each other, one step at a time; None without figures."""
     every = [*figures.values(), *(figure for step in steps.values() for figure in step.values())]
     lines = sum(len(axes.lines) for figure in every for axes in figure.axes)
     most = max(FEWEST, MOST_VALUES // (2 * max(1, lines)))

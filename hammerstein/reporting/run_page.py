@@ -1,4 +1,4 @@
-"""The page of a run: the question, the answer, figures, numbers, and how it was run."""
+"""Page of a run: question, answer, figures, numbers, and settings."""
 
 import inspect
 import math
@@ -58,7 +58,7 @@ READS_TRUTH = "The sensor is ideal: it reads the true position."
 RUN = re.compile(r"(.+) at (.+), (axis \S+|all axes)")
 """Label, place and axis in a statement on a run."""
 MOST_STATEMENTS = 15
-"""Of a page; `report.json` has all."""
+"""Most statements of a page; `report.json` has all."""
 
 # What tells the rows of rms.csv apart; each figure of merit says itself what it is.
 KEYS = {
@@ -178,7 +178,7 @@ def _number_files(report: Report) -> Iterator[NumberFile]:
 
 
 def gathered(statements: Sequence[str]) -> list[str]:
-    """Statements, with equal statements on several things joined.
+    """Statements; equal ones on several items are joined.
 
     >>> gathered(["plays: no inverse", "The sensor lags.", "Bouc-Wen: no inverse"])
     ['plays; Bouc-Wen: no inverse', 'The sensor lags.']
@@ -220,7 +220,7 @@ def place_of(name: str) -> tuple[int, str]:
 
 
 def figure_of(name: str, report: Report) -> Shown:
-    """What the figure of a file is, and how to read it."""
+    """Title and caption of the figure of a file."""
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
     banded = ["Median and 5 to 95 % of the random actuators, beside the nominal one."] * bool(report.bands)
@@ -258,7 +258,7 @@ def _lag(report: Report) -> str:
 
 
 def glossary_of(report: Report) -> list[tuple[str, str]]:
-    """The columns that this report fills."""
+    """Descriptions of the columns of this report."""
     meanings = KEYS | {name: metric.meaning for name, metric in METRICS.items()}
     return [
         (name, meaning)
@@ -268,7 +268,7 @@ def glossary_of(report: Report) -> list[tuple[str, str]]:
 
 
 def setting_of(report: Report) -> Iterator[tuple[str, str]]:
-    """What was run, as pairs of a name and a text."""
+    """Settings of the run, as pairs of name and text."""
     scenario, portable = report.scenario, report.scenario.portable()
     model = HammersteinModel.load(scenario.actuator)
     yield "Actuator", Markdown("{}, dynamics: {}").format(code(report.actuator), model.dynamics.describe())

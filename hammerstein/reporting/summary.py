@@ -1,4 +1,4 @@
-"""The answer of a report in plain sentences, made from its rows."""
+"""Answer of a report in sentences, from its rows."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Sentence(NamedTuple):
 
 
 def sentences(report: Report, quote: Quote = str) -> list[Sentence]:
-    """The result in one sentence, with a table where it has several numbers; then how the runs went.
+    """Result in one sentence, with a table for several numbers; then remarks on the runs.
 
     quote : formats a label, for example in italics
     """
@@ -95,7 +95,7 @@ def _enough_operators(report: Report, contest: Contest) -> str:
 
 @dataclass(frozen=True)
 class Contest:
-    """How labels are written, and which of them cannot win: laws that do not converge, and doing nothing."""
+    """Labels in sentences, and those that cannot win: diverging laws, and no compensation."""
 
     quote: Quote
     diverging: frozenset[str]
@@ -120,7 +120,7 @@ class Contest:
         return self.quote(label) + (better if label in self.idle else "")
 
     def admitted(self, found: dict[str, float]) -> dict[str, float]:
-        """Without the laws that do not converge."""
+        """Labels without the laws that do not converge."""
         return {label: value for label, value in found.items() if label not in self.diverging}
 
 
@@ -237,7 +237,7 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
 
 
 def listed(texts: Sequence[str]) -> str:
-    """Join texts as a person would.
+    """Join texts with commas and "and".
 
     >>> listed(["a", "b", "c"])
     'a, b and c'
@@ -318,7 +318,7 @@ def _span(places: Sequence[tuple[float, str]]) -> str:
 
 
 def doubts(report: Report) -> list[str]:
-    """Statements of a report for which its figures may be worth nothing."""
+    """Statements of a report that make its figures doubtful."""
     return [text for text in report.statements if FLAGGED in text or GUESSED in text]
 
 

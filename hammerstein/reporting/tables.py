@@ -1,4 +1,4 @@
-"""The numbers of a report as compact tables for a page."""
+"""Numbers of a report as compact tables for a page."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -38,7 +38,7 @@ class NumberTable(NamedTuple):
 
 
 def number_tables(report: Report) -> list[NumberTable]:
-    """Errors of the true position and of the reading, and loops, as far as the report has them.
+    """Errors of the true position and of the reading, and loops, if the report has them.
 
     A sweep that a page cannot hold is shown at a few frequencies: its ends, those of identification, and some
     between.

@@ -28,9 +28,9 @@ OPTION = "--cluster"
 PATIENCE_S = 5.0  # for the first answer of a scheduler
 CLOSING_S = 1.0  # for a scheduler that may be gone
 LOOK_S = 2.0
-"""Time between two looks at whether the scheduler and its workers are there."""
+"""Interval of checks for the scheduler and its workers [s]."""
 LARGE = "100 MB"
-"""Size of a task from which on Dask says that it is large."""
+"""Size of a task from which Dask warns."""
 
 
 class Cluster(Executor):
@@ -61,7 +61,7 @@ class Cluster(Executor):
         threading.Thread(target=self._look, daemon=True).start()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Hand over a function that a worker can import, with its arguments."""
+        """Submit an importable function with its arguments."""
         task = pickle.dumps(partial(fn, *args, **kwargs), protocol=pickle.HIGHEST_PROTOCOL)
         future: Future[T] = Future()
         if self._client.status != "running":
@@ -156,7 +156,7 @@ class Cluster(Executor):
 
 @contextmanager
 def joined(address: str) -> Iterator[Cluster]:
-    """Workers of the scheduler at an address, as long as the block lasts.
+    """Workers of the scheduler at an address, within the block.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Unexpected errors: one line, an exit code of their own, and a file to send in."""
+"""Unexpected errors: one line, a separate exit code, and a file for a bug report."""
 
 import hashlib
 import platform
@@ -15,7 +15,7 @@ LIBRARIES = ("control", "numba", "numpy", "pandas", "pydantic", "scipy", "typer"
 
 
 def as_error(error: Exception) -> HammersteinError:
-    """Message for a person about any error.
+    """Error message for any exception.
 
     An error of the system (a file, memory) has its own message. Any other error is a fault of this program,
     and its details go to a file.

@@ -1,4 +1,4 @@
-"""Which files of a folder this program wrote, so that none else is lost, and their exchange for new ones."""
+"""List of the files that this program wrote into a folder, and their safe replacement."""
 
 from __future__ import annotations
 
@@ -82,14 +82,14 @@ class _ManifestFile(Strict):
 
 @dataclass(frozen=True, eq=False)
 class Manifest:
-    """Files that this program wrote into a folder, by name, with the digest of what it wrote."""
+    """Files that this program wrote into a folder, by name, with their digests."""
 
     folder: Path
     files: Mapping[str, FileEntry]
 
     @classmethod
     def read(cls, folder: Path) -> Manifest:
-        """Read the manifest of a folder; a missing or spoilt one lists nothing: nothing is touched."""
+        """Read the manifest of a folder; a missing or damaged one is empty, so that no file is touched."""
         path = folder / MANIFEST
         with suppress(InputError, ValidationError):
             if not path.is_symlink():
@@ -101,7 +101,7 @@ class Manifest:
         return json.dumps(_ManifestFile(files=dict(self.files)).model_dump(), indent=1, sort_keys=True) + "\n"
 
     def is_foreign(self, name: str, owner: Owner) -> bool:
-        """Whether somebody else's file has a name; an empty one is nobody's."""
+        """Whether a name belongs to a file of somebody else; empty files do not count."""
         path, entry = self.folder / name, self.files.get(name)
         if through_a_link(self.folder, name):
             return True
@@ -150,12 +150,12 @@ def is_own_file(folder: Path, name: str, digest: str) -> bool:
 
 
 def is_plain_file(folder: Path, name: str) -> bool:
-    """Whether an ordinary file is there, reached through no link."""
+    """Whether an ordinary file exists, not through a link."""
     return not through_a_link(folder, name) and (folder / name).is_file()
 
 
 def is_name(name: str) -> bool:
-    r"""Whether a text can be the name of a file or folder, on every system.
+    r"""Whether a text is a valid name of a file or folder on every system.
 
     >>> [is_name(name) for name in ("circle", "..", "a/b", "con", "a.")]
     [True, False, False, False, False]
@@ -174,7 +174,7 @@ def refuse_name(source: Path) -> None:
 
 
 def refuse_file_name(option: str, path: Path) -> None:
-    """Refuse a name that no manifest can hold, or that the program keeps for itself; InputError."""
+    """Raise InputError for a name that is invalid in a manifest or reserved."""
     if not _is_part(path.name) or path.name.startswith(RESERVED):
         raise InputError(option, f"{path.name!r} is not possible as a file name; choose another")
 
@@ -215,7 +215,7 @@ class Exchange(Strict):
 
 
 def exchange(folder: Path, room: Path, plan: Exchange) -> tuple[Path, ...]:
-    """Exchange files that lie ready in ``room``; give the places of those that were kept aside.
+    """Replace files by those in ``room``; return the places of files that were kept aside.
 
     Raises OSError where it cannot be done; then everything is as it was.
     """
@@ -255,7 +255,7 @@ def recover(folder: Path, room: Path) -> tuple[Path, ...]:
 
 
 def clear(room: Path) -> None:
-    """Remove what was made, unless a journal still needs it."""
+    """Remove temporary files, unless a journal still needs them."""
     if not (room / JOURNAL).exists():
         for place in (room / NEW, room / OLD):
             if is_link(place):
@@ -310,7 +310,7 @@ def _put_away(folder: Path, room: Path, name: str, plan: Exchange) -> bool:
 
 
 def put_aside(path: Path) -> Path:
-    """Return somebody's file another name, which is free."""
+    """Rename somebody's file to a free name; return it."""
     number, place = 1, path.with_name(f"{path.name}.{EDITED}")
     while os.path.lexists(place):
         number += 1

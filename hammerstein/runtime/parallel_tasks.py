@@ -1,4 +1,4 @@
-"""Independent tasks side by side through ``concurrent.futures``: threads, processes or a cluster alike."""
+"""Independent tasks in parallel through ``concurrent.futures``: threads, processes or a cluster."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 PATIENCE_S = 3.0
-"""What a process that was asked to end is given before it is killed."""
+"""Time for a process to end before it is killed [s]."""
 TRIES = 2
-"""A process may be lost by chance once."""
+"""Number of tolerated losses of a process."""
 WHY_LOST = "The system does this if the memory is full: use fewer parallel runs (--jobs 1), or smaller ones."
 
 
@@ -88,7 +88,7 @@ class Threads(_Crew):
 
 
 class Processes(_Crew):
-    """Processes that do one task after another.
+    """Worker processes.
 
     If a process dies, for example because memory is full, its task is tried once more; then its future holds
     a LostProcessError. After an exception, such as Ctrl-C, running processes are ended.
@@ -108,7 +108,7 @@ class Processes(_Crew):
         begin_loading(loads)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes when their work is done, or at once where the rest is cancelled."""
+        """End the processes when their work is done, or at once if the rest is cancelled."""
         if cancel_futures:
             with self._lock:
                 self._closed = True
@@ -171,7 +171,7 @@ class Processes(_Crew):
 
 
 class ProcessesAndThis(Processes):
-    """Processes, and this one, which begins while the others are made: one of the workers is a thread here.
+    """Processes and this one, which starts first: one of the workers is a thread here.
 
     Nobody waits for that thread where the block is left by an exception.
     """
@@ -181,7 +181,7 @@ class ProcessesAndThis(Processes):
         self._here: threading.Thread | None = None
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End all when their work is done, or the processes at once where the rest is cancelled."""
+        """End all when their work is done, or the processes at once if the rest is cancelled."""
         super().shutdown(False, cancel_futures=cancel_futures)
         for thread in self._threads if wait else ():
             if thread is not self._here or not cancel_futures:
@@ -229,7 +229,7 @@ class _Worker:
 
 
 def signal_name(number: int) -> str:
-    """Name of a signal; some systems have signals that Python knows no name of."""
+    """Name of a signal; its number if Python has no name for it."""
     try:
         return signal.Signals(number).name
     except ValueError:
@@ -259,7 +259,7 @@ Jobs = int | Executor
 """Threads of this process, or an executor of ``concurrent.futures`` whose workers take the work."""
 Task = Callable[[], T] | Future[T]
 AHEAD = 4
-"""Tasks a worker that are begun, or done and not yet wanted."""
+"""Tasks per worker that are running or completed ahead."""
 
 
 def completed(result: T) -> Future[T]:
@@ -270,14 +270,14 @@ def completed(result: T) -> Future[T]:
 
 
 def workers_of(jobs: Jobs) -> int:
-    """How many tasks are worked on at a time."""
+    """Number of tasks that run at a time."""
     if isinstance(jobs, int):
         return jobs
     return getattr(jobs, "workers", None) or processors()
 
 
 def on_workers(jobs: Jobs) -> str:
-    """Where work is done, for a person who watches; empty where it is this process."""
+    """Place of the work, for progress; empty for this process."""
     return "" if isinstance(jobs, int) else f" on {workers_of(jobs)} workers"
 
 

@@ -1,4 +1,4 @@
-"""How processes beside this one begin, with the libraries loaded, and how they end."""
+"""Start of worker processes with loaded libraries, and their end."""
 
 import gc
 import multiprocessing
@@ -16,7 +16,7 @@ from hammerstein.runtime.resources import keep_freed_memory, one_blas_thread
 
 ENDED = 143  # 128 + 15, what shells give for SIGTERM
 GARBAGE = (50_000, 20, 50)
-"""How seldom garbage is searched: figures are many small objects, and most of them stay until the end."""
+"""Threshold of garbage collection: figures are many small objects, and most of them stay until the end."""
 
 FOR_RUNS = (
     "hammerstein.experiment.draws",
@@ -25,7 +25,7 @@ FOR_RUNS = (
     "numba",
     "scipy.signal",
 )
-"""What every run needs, without its report."""
+"""Modules that every run needs, without its report."""
 
 LOADED_ONCE = (
     *FOR_RUNS,
@@ -36,7 +36,7 @@ LOADED_ONCE = (
     "matplotlib.backends.backend_svg",
     "pandas",
 )
-"""What a run to its report needs and takes seconds to load."""
+"""Modules that a run with report needs and that take seconds to load."""
 
 
 _BEGINNING = threading.Lock()
@@ -45,7 +45,7 @@ _FOR_GOOD = ExitStack()
 
 
 def begin_loading(names: Sequence[str] = LOADED_ONCE) -> None:
-    """Let libraries be loaded beside what this process does before it needs the others.
+    """Load libraries in the background before this process needs workers.
 
     names : modules; those of the first call in a process are loaded once, others by each who needs them
     """
@@ -59,7 +59,7 @@ def begin_loading(names: Sequence[str] = LOADED_ONCE) -> None:
 
 
 def loaded_beforehand(names: Sequence[str] = LOADED_ONCE) -> list[str]:
-    """What the server loads before it forks the others.
+    """Modules that the server loads before it forks.
 
     On macOS nothing: the system's linear algebra, which NumPy uses there and tries out when it is loaded,
     does not survive a fork (https://github.com/numpy/numpy/issues/5752).
@@ -108,7 +108,7 @@ def _has_server() -> bool:
 
 
 def context(names: Sequence[str] = LOADED_ONCE) -> BaseContext:
-    """How processes begin on this system, with these libraries loaded."""
+    """Start method of processes on this system, with these libraries loaded."""
     begin_loading(names)
     return multiprocessing.get_context("forkserver" if _has_server() else None)
 

@@ -1,4 +1,4 @@
-"""Processors, memory and cache folder that this process may use: a container may give it less than there is.
+"""Processors, memory and cache folder of this process, within the limits of a container.
 
 Linux limits what a container may have by the groups of processes that it belongs to
 (https://docs.kernel.org/admin-guide/cgroup-v2.html, and cgroup-v1 beside it).
@@ -19,7 +19,7 @@ from hammerstein.errors import SimulationError
 
 BYTES = 8  # of a double
 COPIES = 2
-"""Peak of a run in parts of the wires that it keeps."""
+"""Peak memory of a run, in parts of its stored signals."""
 SMALL_BYTES, SMALL_SHARE = 1e7, 0.01
 """What fits beside the libraries, or is so small a part of what was free at first: the system is not asked
 again, for to read its files takes as long as a short run."""
@@ -27,11 +27,11 @@ OWN_PAGES, KEPT_FREE = (-3, 2**25), (-1, 2**27)
 """Options M_MMAP_THRESHOLD and M_TRIM_THRESHOLD of glibc (``man mallopt``): bytes of an array that has pages
 of its own, as many as glibc allows by itself, and bytes that stay free."""
 UNLIMITED = 2**60
-"""A limit from here on is none."""
+"""Limit from which there is none."""
 
 
 def run_bytes(samples: float, inputs: int, outputs: int) -> float:
-    """Bytes of the wires that one run keeps."""
+    """Memory of the signals of one run [bytes]."""
     return samples * (BYTES * (2 * inputs + 4 * outputs) + inputs)
 
 
@@ -67,7 +67,7 @@ def _free_at_first() -> float:
 
 
 def free_bytes() -> float:
-    """Memory that this process may still take."""
+    """Free memory of this process."""
     import psutil
 
     return min([float(psutil.virtual_memory().available), *_of_the_groups(), *_of_the_process()])
@@ -134,7 +134,7 @@ def numbers(file: Path) -> list[float]:
 
 
 def processors() -> int:
-    """How many there are for this process, one at least.
+    """Number of processors for this process, at least one.
 
     What a container may have is rounded up: a job more than that slows nothing down, one less wastes time.
     """
@@ -153,7 +153,7 @@ def _shares() -> Iterator[float]:
 
 
 def cache_folder() -> Path | None:
-    """The user's cache folder, or the one that ``HAMMERSTEIN_CACHE`` names; None where nothing is kept."""
+    """The user's cache folder, or that of ``HAMMERSTEIN_CACHE``; None if nothing is cached."""
     named = os.environ.get("HAMMERSTEIN_CACHE")
     if named is not None:
         return Path(named) if named else None
@@ -166,13 +166,13 @@ def cache_folder() -> Path | None:
 
 
 def folder_of_runs() -> Path | None:
-    """Where results are kept; None if they are not."""
+    """Folder of stored results; None if they are not stored."""
     place = cache_folder()
     return None if place is None else place / "kept"
 
 
 def keep_freed_memory() -> None:
-    """Keep freed memory for the next array, where the C library is glibc.
+    """Keep freed memory for the next array, with glibc.
 
     Arrays of a few MB are made and freed thousands of times in a fit. Glibc gives them back to the system,
     which clears their pages for the next one: up to a third of the time of a fit.
@@ -185,16 +185,16 @@ def keep_freed_memory() -> None:
 
 _LOCK = threading.Lock()
 _within: list[Any] = []
-"""Everybody who is within now; the first holds what was before, for whoever leaves last."""
+"""Callers inside the block; the first entry holds the previous setting, for the last one to restore."""
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Linear algebra has one thread meanwhile, whatever the caller's settings; may decorate a function.
+    """Limit linear algebra to one thread inside the block, whatever the caller's settings; also a decorator.
 
-    Sums of several threads end in other last bits, and threads that wait for each other make the small
-    matrices of a draw several times dearer. The command line asks for one thread before NumPy is loaded.
-    Where several are within at once, as runs of a study are, the last one puts back what was before.
+    Sums of several threads differ in the last bits, and threads that wait for each other make small
+    matrices several times slower. The command line sets one thread before NumPy is loaded. If several
+    callers are inside at once, such as runs of a study, the last one restores the previous setting.
     """
     import scipy.linalg  # noqa: F401  # brings a library of its own: only what is loaded is limited
     from threadpoolctl import threadpool_limits

@@ -1,4 +1,4 @@
-"""End of the program at a signal, wherever it is: in its first line, in LAPACK, in a file.
+"""End of the program at a signal, at any point: in its first line, in LAPACK, while writing.
 
 Python calls the handler of a signal between two of its own instructions. Compiled code has none, sometimes
 for minutes. The part of the handler in C does run: it writes the number of the signal to a socket. A thread
@@ -20,11 +20,11 @@ CLEAR_LINE_SHOW_CURSOR = b"\r\x1b[2K\x1b[?25h"
 """A terminal with a bar of progress has neither in order."""
 
 uninterrupted = threading.RLock()
-"""Held while something must not be left in the middle: the end waits for it."""
+"""Lock for sections that must complete before the end."""
 
 
 def end_when_asked() -> None:
-    """Let Ctrl-C, SIGTERM and a closed terminal end the process; what nohup ignores stays so."""
+    """End the process at Ctrl-C, SIGTERM and a closed terminal; signals that nohup ignores stay ignored."""
     reader, writer = socket.socketpair()  # no pipe: Windows writes to sockets alone
     asked = [n for n in signal.Signals if n.name in NAMES and signal.getsignal(n) is not signal.SIG_IGN]
     threading.Thread(target=_wait, args=(reader, writer, asked), daemon=True).start()

@@ -49,9 +49,9 @@ from hammerstein.runtime.manifest import (
 from hammerstein.runtime.signals import uninterrupted
 
 PATIENCE_S = 30.0
-"""A report is written in less; who holds the lock longer hangs."""
+"""Longest wait for the lock [s]; a report takes less."""
 PAUSE_S = 0.05
-"""Between two looks, below what a person notices."""
+"""Interval of attempts [s], below what a person notices."""
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)
 
 
@@ -59,7 +59,7 @@ _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP)
 def locked(
     path: Path, patience_s: float | None = None, busy: tuple[str, str] | None = None
 ) -> Iterator[None]:
-    """Hold a lock file inside the block; it is made first, and removed at the end.
+    """Hold a lock file inside the block.
 
     On a file system without locks nothing is held.
 
@@ -98,7 +98,7 @@ LOCK = f"{RESERVED}-lock"
 
 
 class Stage:
-    """Where the files of a folder are made.
+    """Temporary place for the new files of a folder.
 
     folder : where they go
     owner : which command writes them
@@ -114,7 +114,7 @@ class Stage:
         self._owners: dict[str, Owner] = {}
 
     def write(self, name: str, content: str | bytes | BinaryIO, owner: Owner | None = None) -> None:
-        """Make one file.
+        """Write one file.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class Stage:
         self._owners[name] = owner or self.owner
 
     def take(self, folder: Path) -> None:
-        """Make a copy of every file in a folder; those that its manifest lists belong to the same command."""
+        """Copy every file of a folder; those in its manifest belong to the same command."""
         listed = Manifest.read(folder).files
         for path in sorted(path for path in folder.rglob("*") if path.is_file()):
             if (name := path.relative_to(folder).as_posix()) != MANIFEST:
@@ -141,11 +141,11 @@ class Stage:
 
     @property
     def names(self) -> list[str]:
-        """Names of the files that were made."""
+        """Names of the new files."""
         return [name for name in self._digests if name != MANIFEST]
 
     def publish(self) -> None:
-        """Exchange the files of the earlier run for these."""
+        """Replace the files of the earlier run by these."""
         before, new = Manifest.read(self.folder), dict(self._digests)
         free = {name for name, digest in new.items() if self._loses_nothing(name, digest)}
         for name in new.keys() - free:
@@ -179,7 +179,7 @@ class Stage:
 
 @contextmanager
 def staged(folder: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stage]:
-    """Make files inside the block; at its end they replace those of an earlier run.
+    """Write files inside the block; at its end they replace those of an earlier run.
 
     Only files that the manifest of the earlier run lists, with equal digests, are removed. A file that a
     person changed is kept under another name; everything else stays as it is. If the block ends with an
@@ -215,7 +215,7 @@ def staged(folder: Path, owner: Owner, overwrite: bool = False) -> Iterator[Stag
 def prepare(
     folder: Path, owner: Owner, names: Sequence[str], overwrite: bool = False, option: str = ""
 ) -> None:
-    """Finish or undo an interrupted run in a folder, and refuse other people's files, before the work.
+    """Before the work, finish or undo an interrupted run in a folder, and refuse files of others.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def prepare(
 def prepare_folder(
     option: str, folder: Path, owner: Owner, names: Sequence[str], overwrite: bool = False
 ) -> None:
-    """Raise InputError, before the work, for a folder that could not be written; as ``prepare`` otherwise.
+    """Raise InputError, before the work, for a folder that cannot be written; else like ``prepare``.
 
     option : option with the folder, such as ``--out``
     """
@@ -268,7 +268,7 @@ def prepare_file(option: str, path: Path, owner: Owner, overwrite: bool = False)
 def write_file(
     path: Path, content: str | bytes | BinaryIO, owner: Owner, overwrite: bool = False
 ) -> tuple[Path, ...]:
-    """Write one file under the rule of folders; give the place of one that a person had changed.
+    """Write one file under the rule of folders; return the place of a file that a person had changed.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def staged_beside(path: Path, owner: Owner, overwrite: bool = False) -> Iterator
 
 
 def behind_link(folder: Path) -> Path:
-    """A folder that a person named: behind its link, if it is one."""
+    """Target of a folder that may be a link."""
     return folder.resolve() if folder.is_symlink() else folder
 
 

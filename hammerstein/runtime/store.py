@@ -1,4 +1,4 @@
-"""Store of results on disk under a key of their inputs and provenance, so that nothing is computed twice.
+"""Store of results on disk, under a key of their inputs and provenance, to avoid repeated computation.
 
 An entry is an .npz file of plain numbers with checksums; nothing in it can be executed. Only the user can
 read it, and several runs may share the folder. When the folder grows too large, the least recently used
@@ -43,7 +43,7 @@ LIBRARIES = (
 NUMERICAL = ("numpy", "scipy", "numba", "control", "pydantic")
 SOURCES = ("*.py", "*.json", "*.jinja", "*.css", "*.js")
 SHIPPED = "shipped"
-"""Name of folders of an installed package that a checkout has elsewhere; nothing computes with them."""
+"""Folders of an installed package that are elsewhere in a checkout; results do not depend on them."""
 
 
 def computed_by() -> str:
@@ -78,7 +78,7 @@ def _source_of(kind: type) -> str:
 
 
 def computes_with() -> dict[str, str]:
-    """Versions of all that two machines must have alike to give the same numbers, by name."""
+    """Versions, by name, that must be equal on two machines for equal numbers."""
     versions = {name: version_of(name) for name in NUMERICAL}
     own = {"hammerstein": version_of("hammerstein-control"), "sources of hammerstein": sources()[:12]}
     return {"python": platform.python_version(), **versions, **own}
@@ -86,7 +86,7 @@ def computes_with() -> dict[str, str]:
 
 @cache
 def sources() -> str:
-    """Hash of the package's sources and of what plugs in."""
+    """Hash of the sources of the package and its plug-ins."""
     digest = hashlib.sha256("\n".join(_plugged_in()).encode())
     files = [path for kind in SOURCES for path in PACKAGE.rglob(kind)]
     for path in sorted(path for path in files if SHIPPED not in path.relative_to(PACKAGE).parts):
@@ -130,16 +130,16 @@ def _plugged_in() -> Iterable[str]:
 
 
 LARGEST_MB = 2000
-"""Of all entries together, if ``HAMMERSTEIN_CACHE_MB`` does not say otherwise; with 0 nothing is kept."""
+"""Default size of all entries; ``HAMMERSTEIN_CACHE_MB`` overrides it, and 0 disables the store."""
 LIMIT = "HAMMERSTEIN_CACHE_MB"
 MOST_MB = 1e9  # a petabyte: more is a slip
 MEGABYTE = 1_000_000  # bytes
 LEFT = 0.8
-"""Part of that which is left then."""
+"""Part of the size that remains after a clean-up."""
 SHARE = 0.25
-"""Part of it that one entry may have."""
+"""Largest part of it for one entry."""
 FORSAKEN_S = 3600.0
-"""Age of a half-written file whose process must be dead."""
+"""Age of a half-written file from which its process must have ended [s]."""
 HEAD = "key and document"
 """Name of the array that holds these as JSON."""
 
@@ -209,7 +209,7 @@ class Store:
             self._shrink()
 
     def computed(self, elsewhere: str) -> Store:
-        """Return the same store for what is worked out by other processors; nothing is taken for ours."""
+        """Return the same store for results of other processors; keys differ from those of this one."""
         return Store(self.folder, self.fresh, self.limit_bytes, elsewhere) if elsewhere else self
 
     def _path(self, key: str) -> Path:
@@ -250,7 +250,7 @@ def key_of(kind: str, content: Any) -> str:
 
 
 def opened(fresh: bool = False) -> tuple[Store | None, str]:
-    """Return the store of this user, and why it is of no use; both are nothing where it was switched off.
+    """Return the user's store, and the reason why it is unusable; both are empty if it is disabled.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ class Assessment(Strict, ABC):
     more: ClassVar[str] = ""
     """Sentence below the results of several reports: where their reasons are."""
     reading_first: ClassVar[bool] = False
-    """Whether errors of the sensor's reading are said before those of the true position."""
+    """Whether errors of the sensor's reading are stated before those of the true position."""
 
     @property
     def runs(self) -> int:
@@ -114,7 +114,7 @@ class Assessment(Strict, ABC):
 
     @classmethod
     def shipped(cls) -> Mapping[str, Path]:
-        """Scenarios that it brings, and numbers accepted for them: from names in a new folder to files."""
+        """Scenarios and their accepted numbers that it provides: from names in a new folder to files."""
         return {}
 
     @classmethod
@@ -137,11 +137,11 @@ class Assessment(Strict, ABC):
 
 
 ASSESSMENTS: Family[Assessment] = Family(Assessment, "kind")  # type: ignore[type-abstract]
-"""Kinds of assessment; the package's own is that of the paper, and plugs in like those of others."""
+"""Kinds of assessment; that of the paper is a plug-in, too."""
 
 
 DEFAULT = "default"
-"""Stands for every number that is not named."""
+"""Name for all numbers that are not named."""
 
 
 def _known(name: str) -> str:

@@ -36,7 +36,7 @@ Trials = Annotated[tuple[Trial, ...], Field(min_length=1, max_length=MOST_VALUES
 
 
 class Sweep(Strict):
-    """Values that take the place of one in the signal, or in every compensator.
+    """Values that replace one in the signal, or in every compensator.
 
     Several keys give every combination, or with ``combine = "zip"`` the first values together, the second
     ones, and so on.
@@ -68,27 +68,27 @@ class Sweep(Strict):
             yield {name: value for name, value in zip(names, found, strict=True) if only in (None, name)}
 
     def others(self, name: str) -> int:
-        """How many combinations each value of one key is in."""
+        """Number of combinations with each value of one key."""
         if self.combine == "zip":
             return 1
         return math.prod(len(values) for key, values in self.values() if key != name)
 
 
 SWEPT = tuple(name for name in Sweep.model_fields if name != "combine")
-"""Keys that a sweep may give values for."""
+"""Keys that a sweep may vary."""
 OF_COMPENSATORS = ("trial",)
 """Those of them that are options of compensators, not keys of a signal."""
 DEEPEST = 32
-"""Lists and tables within each other; a scenario has no more than 6."""
+"""Largest nesting of lists and tables; a scenario needs at most 6."""
 OWN_JSON = re.compile(r'"format":\s*"hammerstein-([a-z-]+)/')
 LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]*+\.[ \t]*+){32}""")
-"""A dotted key of more parts than that, quoted or not."""
+"""Dotted key with more parts than that, quoted or not."""
 WORDS = frozenset({"question", "yes_if", "tolerances", "assessment", "study"})
-"""Keys of a scenario that change none of its numbers."""
+"""Keys of a scenario without effect on its numbers."""
 
 
 class Measure(Strict):
-    """How long to wait and how long to measure."""
+    """Durations of waiting and measurement."""
 
     settle_cycles: NoCycles = Field(default=2, description="cycles before the measurement")
     settle_s: Wait = Field(default=0.05, description="shortest time before the measurement")
@@ -99,7 +99,7 @@ class Measure(Strict):
 
 
 class Tolerance(Strict):
-    """How far a number may move from its baseline: the larger of the two counts."""
+    """Allowed change of a number from its baseline: the larger of both limits."""
 
     relative: Tolerated = Field(
         default=1e-3, description="allowed relative difference from the accepted number"
@@ -230,7 +230,7 @@ class Scenario(WithInfinity):
         return {signal: i for i, signal in enumerate(dict.fromkeys(self.signals()), start=1)}
 
     def experiments(self) -> dict[IdentificationSpec, int]:
-        """Position of every identification experiment, counted from 1; what is equal is done once."""
+        """Position of every identification experiment, counted from 1; equal ones are done once."""
         sources: tuple[ModelSource, ...] = (*self.compensators, *self.models)
         specs = dict.fromkeys(s.identification for s in sources if s.identification is not None)
         return {spec: i for i, spec in enumerate(specs, start=1)}
@@ -244,7 +244,7 @@ class Scenario(WithInfinity):
             yield self.signal.model_copy(update=own), None if trial is None else int(trial)
 
     def portable(self) -> dict[str, Any]:
-        """Content as plain JSON, the same wherever its files lie."""
+        """Content as plain JSON, independent of the location of its files."""
         content = json.loads(self.model_dump_json(exclude_none=True))
         return {key: _without_folders(value, key) for key, value in content.items()}
 
@@ -259,19 +259,19 @@ class Scenario(WithInfinity):
         return [Path(name) for name in (*named, *signals) if Path(name).is_file()]
 
     def files(self) -> list[Path]:
-        """Every file that the scenario names, as far as it exists."""
+        """Existing files that the scenario names."""
         others = self.assessment.actuators() if self.assessment is not None else ()
         return self._files() + [Path(name) for name in others if Path(name).is_file()]
 
     def content(self) -> list[Any]:
-        """Everything that its numbers follow from, as plain JSON: itself, and hashes of what its files hold.
+        """Everything that determines its numbers, as plain JSON: itself, and hashes of its files.
 
         Raises OSError where a file cannot be read.
         """
         return [self.portable(), [digest_of_file(path) for path in self.files()]]
 
     def digest(self) -> str:
-        """Short hash of what affects the scenario's numbers, with its files beside the actuator's."""
+        """Short hash of everything that affects the scenario's numbers, except the actuator's file."""
         content = {key: value for key, value in self.portable().items() if key not in WORDS}
         others = [path for path in self._files() if path != Path(self.actuator)]
         content |= {path.name: digest_of_file(path) for path in others}
@@ -283,7 +283,7 @@ for _family in (SIGNALS, COMPENSATORS, ASSESSMENTS):
 
 
 ScenarioSource = Scenario | str | Path | Mapping[str, Any]
-"""A scenario as it is, its file, or what a file would hold."""
+"""A scenario, its file, or the content of a file."""
 
 
 def _without_folders(value: Any, key: str = "") -> Any:
@@ -296,7 +296,7 @@ def _without_folders(value: Any, key: str = "") -> Any:
 
 
 def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
-    """Name and value of a scenario, given as it is, as its file, or as what a file would hold.
+    """Name and value of a scenario, given as value, file, or content of a file.
 
     In a mapping a signal may be a value, such as ``Circle(...)``, and a law too, such as ``ExactInverse()``;
     paths are relative to the working folder. Raises InputError with every mistake.

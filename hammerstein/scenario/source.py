@@ -66,7 +66,7 @@ class ClosedFormSpec(Strict):
 
     @property
     def highest_frequency_hz(self) -> float:
-        """Highest frequency that the actuator is driven with."""
+        """Highest frequency of the drive [Hz]."""
         return self.frequency_hz
 
 
@@ -105,7 +105,7 @@ class JointFitSpec(Strict):
     creep_record_s: Length = Field(default=600.0, description="duration of the slow record")
 
     def settings(self) -> Settings:
-        """The options of ``identify``: each has the name and the meaning that it has there.
+        """Options of ``identify``, with equal names and meanings.
 
         Raises InputError for what does not go together.
         """
@@ -122,7 +122,7 @@ class JointFitSpec(Strict):
 
     @property
     def highest_frequency_hz(self) -> float:
-        """Highest frequency that the actuator is driven with."""
+        """Highest frequency of the drive [Hz]."""
         return max(self.frequencies_hz)
 
 
@@ -131,7 +131,7 @@ Minutes = Annotated[float, Range(0.1, 1440.0)]
 
 
 class LoopFitSpec(Strict):
-    """Identify plays in the loop of a state space: one model for every amplitude.
+    """Identify plays in the loop of a state space, as one model for every amplitude.
 
     All inputs are driven together, by multisines at several levels. Two settled periods of each are
     recorded, and freed of the sensor's lag; see ``identify_in_loop``.
@@ -191,12 +191,12 @@ class ModelSource(Strict):
     )
 
     def is_tested_at(self, frequency_hz: float) -> bool:
-        """Whether this source takes part at a frequency of the sweep."""
+        """Whether this source is used at a frequency of the sweep."""
         return self.only_at_hz is None or frequency_hz in self.only_at_hz
 
     @property
     def is_tested(self) -> bool:
-        """Whether it takes part at all."""
+        """Whether it is used at all."""
         return self.only_at_hz != ()
 
     @model_validator(mode="after")
@@ -231,4 +231,4 @@ def _tested(kind: type[Compensator]) -> type[Compensator]:
 
 
 Tested = Annotated[TestedCompensator, COMPENSATORS.field(_tested)]
-"""Any compensator, chosen by its law."""
+"""Any compensator, selected by its law."""

@@ -1,4 +1,4 @@
-"""What is varied in a scenario: values of any numeric key, and the actuator, drawn near the nominal one."""
+"""Variations of a scenario: values of any numeric key, and random actuators near the nominal one."""
 
 import itertools
 import math
@@ -66,7 +66,7 @@ class Study(Strict):
         return self
 
     def count(self) -> int:
-        """How many runs there are."""
+        """Number of runs."""
         if self.samples is not None:
             return self.samples
         lengths = [len(values) for values in self.values.values()]
@@ -84,13 +84,13 @@ class Study(Strict):
             yield {key: values[int(len(values) * places[key])] for key, values in self.values.items()}
 
     def ends(self) -> Iterator[dict[str, float]]:
-        """Values of the runs in which a key is least or largest, and the others stand beside it."""
+        """Values of the runs in which a key is smallest or largest, with the other keys of these runs."""
         for values, end in itertools.product(self.values.values(), (min, max)):
             place = values.index(end(values))
             yield {key: others[min(place, len(others) - 1)] for key, others in self.values.items()}
 
     def points(self) -> Iterator[dict[str, float]]:
-        """Values of every run by key, one after the other; only a few are in the memory at a time."""
+        """Values of every run by key, streamed."""
         keys, lists = list(self.values), list(self.values.values())
         if self.how in ("random", "sobol"):
             for place in self._places(len(keys)):
@@ -130,7 +130,7 @@ Drawn = tuple[HammersteinModel, Instruments]
 
 
 class Parameter(NamedTuple):
-    """One uncertain parameter: its name, how many normal numbers it needs, and whether it varies."""
+    """Uncertain parameter: its name, number of normal numbers, and whether it varies."""
 
     name: str
     size: int
@@ -173,7 +173,7 @@ class Uncertainty(Strict):
         return samples
 
     def draw(self, model: HammersteinModel, instruments: Instruments, number: int) -> Drawn:
-        """Actuator and instruments of one draw; it does not depend on how many are drawn.
+        """Actuator and instruments of one draw, independent of the number of draws.
 
         Raises InputError where standard errors are asked for and the model has no covariance, or where axes
         are perturbed and the dynamics have none.
@@ -188,7 +188,7 @@ class Uncertainty(Strict):
         return found
 
     def parameters(self, model: HammersteinModel) -> tuple[Parameter, ...]:
-        """What is drawn, in this order; errors of weights that hang together are one parameter."""
+        """Drawn parameters, in this order; correlated errors of weights are one parameter."""
         known = model.covariance if isinstance(self.weights, str) else None
         beside = len(known.factor) + known.degrees if known else 0
         found = [Parameter("numbers beside the weights", beside, True)] if known else []
@@ -207,7 +207,7 @@ class Uncertainty(Strict):
         return (*found, Parameter("noise", 1, self.noise > 0.0))
 
     def drawn(self, model: HammersteinModel, instruments: Instruments, generator: Normals) -> Drawn:
-        """Actuator and instruments of the standard normal numbers that a generator gives."""
+        """Actuator and instruments from standard normal numbers of a generator."""
         drawn = _weights_drawn(model, self.weights, generator)
         drawn = replace(drawn, dynamics=self._dynamics_drawn(drawn, generator), covariance=None)
         noise = instruments.sensor.noise_um * _factor(self.noise, generator)

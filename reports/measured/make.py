@@ -1,4 +1,4 @@
-"""Identify the actuators of three public sets of measured records, and write what came out beside this file.
+"""Identify the actuators of three public sets of measured records, and write the results beside this file.
 
     python reports/measured/make.py FOLDER [fits | comparisons]
 
@@ -50,7 +50,7 @@ the output (mean of the three outputs). The fit has not seen the validation reco
 of this project, which the tests check if the records are at hand. [Another page](compared/README.md)
 compares all kinds of hysteresis and the linear models on the same records.
 
-| record | model | fitted [%] | validation [%] | wanted [%] | what is said |
+| record | model | fitted [%] | validation [%] | wanted [%] | statement of the tool |
 | --- | --- | ---: | ---: | --- | --- |
 """
 COMPARED = """# Every kind on measured records
@@ -84,12 +84,12 @@ def stage_records(file: Path) -> tuple[Record, ...]:
 
 
 def micromanipulator(folder: Path) -> Iterator[str]:
-    """One axis, with and without its delay, and by the closed form."""
+    """One axis, with and without delay, and with the closed form."""
     records, held = (stage_records(folder / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
     cases: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
-        ("micromanipulator", "`invertible`, delay found", "0.85, validation 1.2", {}),
+        ("micromanipulator", "`invertible`, delay estimated", "0.85, validation 1.2", {}),
         ("", "`invertible`, no delay", "0.85, validation 1.4", {"delay_samples": 0}),
-        ("", "`closed_form` (paper), delay found", "validation 1.4", {"solver": "closed_form"}),
+        ("", "`closed_form` (paper), delay estimated", "validation 1.4", {"solver": "closed_form"}),
     )
     for name, what, wanted, options in cases:
         model, fit = identify(
@@ -158,17 +158,17 @@ def magnets(folder: Path) -> Iterator[str]:
 
 
 def beyond_plays(record: Record, plays_percent: float) -> str:
-    """Line of a loop with dead-zones beside the plays, with nothing given but the kind."""
+    """Line of a loop with plays and dead-zones, identified with default settings."""
     _, fit = identify([record], Settings(hysteresis="asymmetric"))
     percent = fit.fit[fit.kind].nrmse_percent[0]
     wanted = f"{plays_percent / 3.0:.3f}"
-    return row("", "`asymmetric`, numbers found", f"{percent:.3f}", "", wanted, said_of(fit))
+    return row("", "`asymmetric`, default settings", f"{percent:.3f}", "", wanted, said_of(fit))
 
 
 def said_of(fit: Fit) -> str:
     """The flags of a loop in a few words."""
-    found = [re.search(r"saturates|drifts by \S+ um|is missed by \S+ %", flag) for flag in fit.flags]
-    return "; ".join(match.group() for match in found if match) or "follows"
+    found = [re.search(r"saturates|drifts|is missed by \S+ %", flag) for flag in fit.flags]
+    return "; ".join(match.group() for match in found if match) or "no flag"
 
 
 def comparisons(folder: Path) -> Iterator[str]:
@@ -194,18 +194,18 @@ def comparisons(folder: Path) -> Iterator[str]:
 
 
 def named(records: Sequence[Record]) -> tuple[Record, ...]:
-    """The records by the names of their files alone, wherever those lie."""
+    """The records with the names of their files instead of paths."""
     return tuple(replace(r, source=PurePath(r.source).name, verified=True) for r in records)
 
 
 def compared(name: str, found: Comparison) -> str:
-    """Line of one record; a kind that cannot have the linear block asked for is marked."""
+    """Line of one record; a kind without the requested linear block is marked."""
     errors = []
     alone = {one.hysteresis for one in found.failed if one.name.endswith(WITH_DYNAMICS)}
     for kind in (LINEAR, *identifiable_kinds()):
         own = [entry.judged.mean_percent for entry in found.entries if entry.hysteresis == kind]
         errors.append(f"{min(own):.3f}{' alone' * (kind in alone)}" if own else "")
-    return row(name, "validation record" if found.held else "fitted loop", found.recommended, *errors)
+    return row(name, "validation record" if found.validation else "fitted loop", found.recommended, *errors)
 
 
 def link(model: HammersteinModel, fit: Fit, name: str) -> str:

@@ -61,8 +61,8 @@ def test_every_kind_has_its_place(found: hammerstein.Comparison) -> None:
 def test_a_kind_of_the_one_fit_is_compared_by_its_name(found: hammerstein.Comparison) -> None:
     ours = found["generalised"]
     assert isinstance(ours.model.hysteresis, hammerstein.Generalised)
-    assert ours.held is not None
-    assert ours.held.rms_um[0] < found["prandtl_ishlinskii"].held.rms_um[0]
+    assert ours.validation is not None
+    assert ours.validation.rms_um[0] < found["prandtl_ishlinskii"].validation.rms_um[0]
 
 
 def test_the_kind_that_the_actuator_is_leaves_its_noise_and_is_recommended(
@@ -70,10 +70,10 @@ def test_the_kind_that_the_actuator_is_leaves_its_noise_and_is_recommended(
 ) -> None:
     ours = found["asymmetric"]
     assert found.recommended == "asymmetric"
-    assert ours.held is not None
-    assert ours.held.rms_um[0] == pytest.approx(NOISE_UM, rel=0.1)
-    assert found["prandtl_ishlinskii"].held.rms_um[0] > 5.0 * NOISE_UM
-    assert found["linear gain"].held.rms_um[0] > found["prandtl_ishlinskii"].held.rms_um[0]
+    assert ours.validation is not None
+    assert ours.validation.rms_um[0] == pytest.approx(NOISE_UM, rel=0.1)
+    assert found["prandtl_ishlinskii"].validation.rms_um[0] > 5.0 * NOISE_UM
+    assert found["linear gain"].validation.rms_um[0] > found["prandtl_ishlinskii"].validation.rms_um[0]
 
 
 def test_each_model_has_its_own_flags() -> None:
@@ -91,7 +91,7 @@ def test_errors_stand_at_the_frequency_of_their_record(found: hammerstein.Compar
     assert found.frequencies_hz == (2.0, 10.0)
     for hz, seed in ((2.0, 3), (10.0, 4)):
         span = float(np.ptp(record_of(hz, seed).y_um))
-        there = found["asymmetric"].held_at[hz]
+        there = found["asymmetric"].validation_at[hz]
         assert there.rms_um[0] == pytest.approx(NOISE_UM, rel=0.2)
         assert there.mean_percent == pytest.approx(100.0 * there.rms_um[0] / span, rel=2e-3)
 
@@ -148,7 +148,7 @@ def test_one_frequency_has_no_table_of_its_own(found: hammerstein.Comparison) ->
     """A multisine's record has a mean frequency, and repeating the table above under it said nothing."""
     assert "## Errors at each frequency" in compare_page(found).markdown()
     only = [
-        dataclasses.replace(one, fitted_at=dict([*one.fitted_at.items()][:1]), held_at={})
+        dataclasses.replace(one, fitted_at=dict([*one.fitted_at.items()][:1]), validation_at={})
         for one in found.entries
     ]
     page = compare_page(dataclasses.replace(found, entries=tuple(only))).markdown()
@@ -168,8 +168,8 @@ def test_every_model_has_its_file_and_the_next_command_drives_the_recommended_on
         verdict = kinds[entry.name].verdict
         assert verdict is not None
         assert verdict.held_out
-        assert entry.held is not None
-        assert verdict.nrmse_percent == pytest.approx(entry.held.nrmse_percent, rel=0.05)
+        assert entry.validation is not None
+        assert verdict.nrmse_percent == pytest.approx(entry.validation.nrmse_percent, rel=0.05)
     record = record_of(10.0, 4)
     predicted = kinds["asymmetric"].simulate(record.u_v, T).position_um
     left = (predicted - record.y_um)[0, 500:]
@@ -189,7 +189,7 @@ def test_every_model_has_its_file_and_the_next_command_drives_the_recommended_on
 
 def test_without_held_records_it_says_that_nothing_was_tested() -> None:
     alone = hammerstein.compare([record_of(5.0, 1, last=1.0)], PLAIN)
-    assert alone["asymmetric"].held is None
+    assert alone["asymmetric"].validation is None
     assert alone.frequencies_hz == (5.0,)
     assert "--validate" in " ".join(alone.sentences())
     assert (
@@ -204,10 +204,10 @@ def test_a_model_that_is_better_on_the_validation_record_alone_is_named(
 ) -> None:
     """The figure shows the other one ahead, so that a reader would doubt the recommendation."""
     chosen, other = found[found.recommended], next(e for e in found.entries if e.name != found.recommended)
-    assert chosen.held is not None
+    assert chosen.validation is not None
     assert "by chance" not in " ".join(found.sentences())
-    half = tuple(0.5 * percent for percent in chosen.held.nrmse_percent)
-    lucky = dataclasses.replace(other, held=dataclasses.replace(chosen.held, nrmse_percent=half))
+    half = tuple(0.5 * percent for percent in chosen.validation.nrmse_percent)
+    lucky = dataclasses.replace(other, validation=dataclasses.replace(chosen.validation, nrmse_percent=half))
     entries = tuple(lucky if entry is other else entry for entry in found.entries)
     said = " ".join(dataclasses.replace(found, entries=entries).sentences())
     folds = f"{other.folds_percent:.3g} % in cross-validation, which decides"
@@ -231,8 +231,8 @@ def test_the_linear_block_of_plays_is_tried_with_every_kind() -> None:
     assert found.recommended == "asymmetric with dynamics"
     dynamics = found[found.recommended].model.dynamics
     assert dynamics.axes[0].lag_s == pytest.approx(5e-3, rel=0.05)
-    static = found["asymmetric"].held
-    assert found[found.recommended].held.rms_um[0] < 0.3 * static.rms_um[0]
+    static = found["asymmetric"].validation
+    assert found[found.recommended].validation.rms_um[0] < 0.3 * static.rms_um[0]
 
 
 @pytest.mark.long
@@ -247,7 +247,9 @@ def test_a_kind_has_the_dynamics_that_identify_finds_behind_it() -> None:
         [record(20.0, 1.0, 1), record(100.0, 0.5, 2)], validation=[record(40.0, 0.8, 3)]
     )
     assert found.recommended == "asymmetric with dynamics"
-    assert found[found.recommended].held.nrmse_percent[0] < 0.05  # 0.2 behind the block that suits plays
+    assert (
+        found[found.recommended].validation.nrmse_percent[0] < 0.05
+    )  # 0.2 behind the block that suits plays
 
 
 def test_records_that_no_kind_can_be_fitted_to_are_refused() -> None:

@@ -108,7 +108,9 @@ def test_a_resonance_that_moves_with_the_amplitude_is_given_to_the_loop(monkeypa
     assert [entry.name for entry in found.entries if entry.as_good] == [NAME]
     assert unseen.percent < 0.3 * unseen.rival_percent
     assert ours.folds_percent == unseen.percent
-    assert ours.held.mean_percent < 0.3 * found["prandtl_ishlinskii with dynamics"].held.mean_percent
+    assert (
+        ours.validation.mean_percent < 0.3 * found["prandtl_ishlinskii with dynamics"].validation.mean_percent
+    )
     assert unseen.sentence() in found.sentences()
     assert "Hysteresis in the loop is judged" in compare_page(found).markdown()
     assert json.loads(found.to_json())["unseen"]["experiments"] == 2

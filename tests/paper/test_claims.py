@@ -156,7 +156,7 @@ def _told(*changes, agreement=None):
 
 def test_the_cause_is_the_only_change_that_brings_agreement():
     one = _told(("passes", "with 16 passes", 7.5), ("dynamics", "without dynamics", 1.5))
-    assert (one.cause, one.reason) == ("the dynamics", "The dynamics: 1.5 without dynamics.")
+    assert (one.cause, one.reason) == ("the dynamics", "The claim is met without dynamics: the value is 1.5.")
     assert one.details == "With 16 passes 7.5; without dynamics 1.5"
     two = _told(("sensor", "ideal", 1.9), ("dynamics", "without dynamics", 1.5))
     assert (two.cause, two.reason) == ("", "Not unique: more than one change brings agreement.")
@@ -167,7 +167,10 @@ def test_the_cause_is_the_only_change_that_brings_agreement():
 def test_a_cause_brings_agreement_with_every_seed_and_sample_time():
     sometimes = ("passes", "with 16 passes", 1.1, 2.5, 1.4)
     one = _told(sometimes, ("dynamics", "without dynamics", 1.5, 1.61))
-    assert (one.cause, one.reason) == ("the dynamics", "The dynamics: 1.5 to 1.6 without dynamics.")
+    assert (one.cause, one.reason) == (
+        "the dynamics",
+        "The claim is met without dynamics: the value is 1.5 to 1.6.",
+    )
     assert one.details == "With 16 passes 1.1 to 2.5; without dynamics 1.5 to 1.6"
     assert _told(sometimes).reason == "No change of one or two factors brings agreement."
 

@@ -317,7 +317,7 @@ def test_loops_ask_the_doubts_of_identify(tmp_path, capsys, monkeypatch, case):
     call = ("loops", "record.csv", "--inputs", "u", "--outputs", "x", "--rate", "20000", "--no-figures")
     said = {
         "swapped": "leads u by 1",
-        "noise": "no output of record.csv responds",
+        "noise": "record.csv: no output responds",
         "copy": "equals the column",
     }
     assert _call(*call) == 2

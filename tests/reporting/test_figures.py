@@ -485,12 +485,14 @@ def test_a_model_without_a_compensator_error_says_why_in_its_row() -> None:
             name=name,
             parameters=3,
             left=left,
-            held_at={},
+            validation_at={},
             fitted_at={10.0: SimpleNamespace(mean_percent=0.2)},
         )
         for name, left in zip("abc", lefts, strict=True)
     ]
-    figure = compared_figure(cast(Comparison, SimpleNamespace(entries=entries, held=(), recommended="a")))
+    figure = compared_figure(
+        cast(Comparison, SimpleNamespace(entries=entries, validation=(), recommended="a"))
+    )
     rows = {text.get_position()[1]: text.get_text() for text in figure.axes[1].texts}
     assert rows == {1: "this model replaces the actuator", 2: "no compensator"}
     assert all(text.get_bbox_patch() for text in figure.axes[1].texts)  # no line of the grid strikes it out

@@ -1,1 +1,1 @@
-"""The exact inverse of the multivariable model, and what of a path it can reach."""
+"""Exact inverse of the multivariable model."""

@@ -26,7 +26,7 @@ from hammerstein.model import HammersteinModel
 from hammerstein.quantities import Volts
 
 STILL = 1e-13
-"""Step of the drive, in parts of the largest threshold, that is rounding and no motion."""
+"""Step of the drive, in parts of the largest threshold, up to which it is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class ExactState(Memory):
     """Memory of the exact inverse, as in the tables of ``piece_kernels``.
 
     stack : (m, n_max+2, 3+m) the stacks of segments behind the smallest plays
-    hand : (m, 3) height of each stack, the last q asked for [V], ramp of the jump from -1 to 1
+    hand : (m, 3) height of each stack, the last requested q [V], ramp of the jump from -1 to 1
     """
 
     stack: Array
@@ -42,7 +42,7 @@ class ExactState(Memory):
 
 
 class Recovery(NamedTuple):
-    """How a linear block comes back to its path after the range kept it off: x+ = a x + b (v - gain x)."""
+    """Return of a linear block to its path after saturation: x+ = a x + b (v - gain x)."""
 
     a: Array
     b: Array
@@ -50,26 +50,26 @@ class Recovery(NamedTuple):
 
     @classmethod
     def none(cls, outputs: int) -> Recovery:
-        """That of no block at all."""
+        """Recovery without linear block."""
         return cls(np.zeros((0, 0)), np.zeros((0, outputs)), np.zeros((outputs, 0)))
 
 
 class Tables(NamedTuple):
-    """What ``piece_kernels`` works on: records of rows (input, row), and of each input (input,)."""
+    """Working tables of ``piece_kernels``: records of rows (input, row), and of each input (input,)."""
 
     w: np.ndarray[Any, Any]
     here: np.ndarray[Any, Any]
 
 
 def tables(m: int, rows: int) -> Tables:
-    """Empty tables of m inputs, with room for so many operators, segments, pieces or zones."""
+    """Empty tables of m inputs with this number of operators, segments, pieces or zones."""
     return Tables(np.zeros((m, rows), at.of_rows(m)), np.zeros(m, at.of_inputs(m)))
 
 
 class StaticInverse(Law[S]):
-    """The exact inverse of a static block of some kind, which other laws build on.
+    """Exact inverse of a static block, the base of other laws.
 
-    invertibility : what was found before the run
+    invertibility : result of the check before the run
     """
 
     invertibility: Invertibility
@@ -95,7 +95,7 @@ class StaticInverse(Law[S]):
         """Look whether there is an inverse; set its tables, its start, and the positions there."""
 
     def design_tables(self) -> Tables:
-        """Tables of ``piece_kernels`` as they are before a run."""
+        """Tables of ``piece_kernels`` before a run."""
         return Tables(*(table.copy() for table in self._design))
 
     def statement(self) -> str:
@@ -131,7 +131,7 @@ class DriveState(Memory):
 
 
 class ZonesInverse(StaticInverse[DriveState]):
-    """The exact inverse of a block whose pieces are others in each sample, for its memory moves them.
+    """Exact inverse of a block whose memory changes its affine pieces in each sample.
 
     The walk finds them as zones beside one play of threshold and weight 0.
     """
@@ -182,9 +182,9 @@ class ExactInverseLaw(StaticInverse[ExactState]):
     the shortest one (least sum of squares of the inputs, up to their smallest plays).
 
     Where the smallest threshold r_0 of an input is above zero the drive jumps by 2 r_0 when that input turns,
-    for nothing moves in between. ``softening_v`` spreads the jump over that much movement of the input; until
-    it is over the plant's smallest play stands still, at most ``2 r_0 s / (2 r_0 + s)`` volts behind, and the
-    memory of the law follows the play, not the wish.
+    for nothing moves in between. ``softening_v`` spreads the jump over that movement of the input;
+    meanwhile the actuator's smallest play stays constant, at most ``2 r_0 s / (2 r_0 + s)`` volts behind,
+    and the memory of the law follows the play, not the request.
 
     An input that would leave the drive's range stays at the range. The output that it moves most is then
     missed; the other inputs go on solving the other outputs exactly.
@@ -199,7 +199,7 @@ class ExactInverseLaw(StaticInverse[ExactState]):
 
     Attributes
     ----------
-    invertibility : what was found before the run
+    invertibility : result of the check before the run
 
     Raises
     ------

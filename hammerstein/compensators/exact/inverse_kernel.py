@@ -43,7 +43,7 @@ from hammerstein.compensators.kernels import from_rest, to_sent
 from hammerstein.compiled import at, compiled, helper
 
 GONE = 1e-12
-"""State of a recovery [um] that is as good as zero."""
+"""State of a recovery [um] that counts as zero."""
 
 
 @compiled(error_model="numpy")
@@ -119,7 +119,7 @@ def unloaded(w, here, stack, hand):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy", forceinline=True)
 def ask(reference, t, gain, x, away, here):  # type: ignore[no-untyped-def]
-    """Put what sample t asks for into the rows; while a linear block is away by x, what brings it back."""
+    """Put the target of sample t into the rows; with a linear block off by x, the target that returns it."""
     for o in range(reference.shape[0]):
         here[o].y = reference[o, at(t)]
         if away:
@@ -146,7 +146,7 @@ def drift(reference, t, a, b, x, new, w, here):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy")
 def resume(w, here):  # type: ignore[no-untyped-def]
-    """Put the walk where the memory is; True where ``stay`` may start from there."""
+    """Start the walk at the memory; True where ``stay`` may start from there."""
     ready = True
     for k in range(axes_of(here)):
         here[k].fixed = -1
@@ -160,7 +160,7 @@ def resume(w, here):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy", forceinline=True)
 def stay(w, here):  # type: ignore[no-untyped-def]
-    """Solve within the pieces of the last sample; False, and no memory changed, where they do not hold q."""
+    """Solve within the pieces of the last sample; False, with unchanged memory, if they do not contain q."""
     m = axes_of(here)
     for k in range(m):
         q = 0.0
@@ -184,8 +184,7 @@ def stay(w, here):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy")
 def walk(ready, virtual, w, here):  # type: ignore[no-untyped-def]
-    """Solve one sample from the memory, in as many steps as needed; drive and memory are those that were
-    reached.
+    """Solve one sample from the memory in as many steps as needed, and update drive and memory.
 
     ready : whether the walk is already at the memory. Returns what ``resume`` returns.
     """
@@ -241,7 +240,7 @@ def _aim(w, here):  # type: ignore[no-untyped-def]
 
 @helper()
 def most_pieces(w):  # type: ignore[no-untyped-def]
-    """Pieces after which a walk is given up; one in a model with an inverse ends far sooner."""
+    """Pieces after which a walk is abandoned; with an inverse, it ends far sooner."""
     return 64 + 8 * w.shape[0] * w.shape[1]
 
 

@@ -75,7 +75,7 @@ def axes_of(here):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy", forceinline=True)
 def first_piece(w, here, k, direction):  # type: ignore[no-untyped-def]
-    """Piece of input k that begins at its memory, in a direction or (0) in that of the last movement.
+    """Piece of input k from its memory on, in a direction, or (0) in that of the last movement.
 
     False where the input never moved.
     """
@@ -176,7 +176,7 @@ def next_piece(w, here, k):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy", forceinline=True)
 def previous_piece(w, here, k):  # type: ignore[no-untyped-def]
-    """Input k turns back over the beginning of its piece; from the memory itself it turns around."""
+    """Input k returns past the beginning of its piece; at the memory it reverses."""
     at = here[k]
     depth = at.depth - 1
     if depth < 0:
@@ -191,7 +191,7 @@ def previous_piece(w, here, k):  # type: ignore[no-untyped-def]
 
 @helper(error_model="numpy", forceinline=True)
 def push(w, here, k):  # type: ignore[no-untyped-def]
-    """Make the piece that input k stands on the top segment of its stack."""
+    """Push the current piece of input k onto its stack."""
     at = here[k]
     m = axes_of(here)
     owner = at.owner

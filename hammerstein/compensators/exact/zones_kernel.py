@@ -1,4 +1,4 @@
-"""Compiled time loops of exact inverses that see each input of a sample as dead-zones.
+"""Compiled time loops of exact inverses that treat each input of a sample as dead-zones.
 
 The map of a sample is piecewise linear in each voltage and has no memory within the sample. It is given to
 the walk of ``inverse_kernel`` as dead-zones beside a single play of threshold and weight 0.

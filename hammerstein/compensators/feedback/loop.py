@@ -1,4 +1,4 @@
-"""The loop that a controller closes around an actuator: response, poles, sensitivity, and its gains."""
+"""Loop of a controller and an actuator: response, poles, sensitivity, and tuned gains."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ NEAREST, NARROW = 0.05, 0.06  # about a resonance: the first distance in half wi
 SLOW = 60  # points down to a tenth of the slowest pole of the closed loop
 SMALL = 0.3  # loop gain whose distance from -1 needs no closer look
 DEEPEST, ROUNDS, CLOSER = 9, 3, 21
-"""Closest approaches to -1 that are looked at again, how often, and points of each look: 1000 times finer."""
+"""Refinement of the peaks of sensitivity: peaks, repetitions, points each; 1000 times finer in the end."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Gains of one controller an output; errors and corrections in um.
+    """Gains of one controller per output; errors and corrections in um.
 
     correction = proportional e + integral_per_s (integral of e) + derivative_s (de/dt)
 
@@ -39,11 +39,11 @@ class Gains:
     sensitivity: float | None = None
 
     def scaled(self, factor: float) -> Gains:
-        """Return all gains times a factor; what was computed for the old ones is dropped."""
+        """Return all gains times a factor, without crossover and sensitivity."""
         return Gains(factor * self.proportional, factor * self.integral_per_s, factor * self.derivative_s)
 
     def fit(self, outputs: int) -> bool:
-        """Whether there is a finite value of each for every output."""
+        """Whether every output has a finite value of each gain."""
         each = (self.proportional, self.integral_per_s, self.derivative_s)
         return all(np.shape(gain) == (outputs,) and bool(np.isfinite(gain).all()) for gain in each)
 
@@ -122,13 +122,13 @@ class FeedbackLoop(ByValue):
         return np.asarray((1.0 - self._shift(self.frequency_hz)) / self.plant.sample_time_s)
 
     def alone(self, o: int) -> Complex:
-        """Response (slope, frequency) of one output to its own correction, at its least and largest slope."""
+        """Response (slope, frequency) of one output to its own correction, at smallest and largest slope."""
         own = self.slopes[:, o, o]
         ends = self.slopes[[int(np.argmin(own)), int(np.argmax(own))], :, o]
         return np.asarray(ends @ self._on_grid[:, o].T)
 
     def crossover_hz(self, o: int, gains: Gains) -> float:
-        """Frequency where the gain of a loop falls to 1 for good; 0 if it never reaches 1.
+        """Highest frequency where the gain of a loop falls to 1; 0 if it never reaches 1.
 
         Between two frequencies of the grid the gain is a power of them. Below all of them the plant responds
         as at the first, to the controller ``kp + ki T / 2 - i ki / w``.
@@ -200,7 +200,7 @@ class FeedbackLoop(ByValue):
         return np.asarray(least)
 
     def obstacle(self) -> str:
-        """Say what may keep a controller from a stable loop."""
+        """Reasons that may prevent a stable loop, in words."""
         least = float(np.diagonal(self.slopes, axis1=1, axis2=2).min())
         if least <= 0.0:
             return (
@@ -216,9 +216,9 @@ class FeedbackLoop(ByValue):
 LARGEST_SENSITIVITY = 1.6
 """Usual bounds of the largest sensitivity are 1.2 to 2 (Astrom and Hagglund, Advanced PID Control, 2006)."""
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.0, 3.0)
-"""Ratios to the integral gain that are tried of the others, with 1 / (2 pi peak) as unit of time."""
+"""Ratios of the other gains to the integral gain that are tried, with 1 / (2 pi peak) as unit of time."""
 MOST_TRIES, LITTLE, MUCH = 30, 0.98, 0.7
-"""Each takes 2 to 30 % off the gains, the later ones more: a lower gain can be more sensitive at first."""
+"""Reductions of all gains, 2 to 30 % each, growing: a lower gain can first increase the sensitivity."""
 
 
 def tuned(loop: FeedbackLoop, derivative: bool = False) -> Gains:

@@ -1,4 +1,4 @@
-"""Feedback of the sensor, alone or with a feedforward: the benchmark for sensorless compensation."""
+"""Sensor feedback, alone or with a feedforward: the benchmark for sensorless compensation."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class ControllerState(Memory):
 class FeedbackController(Controller[ControllerState]):
     """A discrete PI(D) controller of each output, decoupled by the gain matrix, with or without feedforward.
 
-        e[k] = (what the sensor would read if the position were Y_r)[k] - reading[k]
+        e[k] = (reading of the sensor for the position Y_r)[k] - reading[k]
         c[k] = kp e[k] + ki T (e[0] + ... + e[k]) + kd (e[k] - e[k-1]) / T
         U[k+1] = U_ff[k+1] + G^+ c[k]
 
     The reading of a sample acts on the drive of the next one: the computer needs that time. G is the gain
-    matrix of the settled loops; what the range clips off the drive is taken out of the sum at once
-    (back-calculation), so that the controller leaves the range as soon as the reference does.
+    matrix of the settled loops; the part of the drive that the range clips is subtracted from the sum at
+    once (back-calculation), so that the controller leaves saturation as soon as the reference does.
 
     Without gains they are computed from the model (``feedback.loop.tuned``): the largest integral gain that
     keeps the sensitivity below 1.6 for every slope of the hysteresis.
@@ -139,7 +139,7 @@ class FeedbackController(Controller[ControllerState]):
     def correct(
         self, reference_um: ArrayLike, reading_um: ArrayLike, state: ControllerState
     ) -> ControllerState:
-        """First half of a step: work out the correction from reference and reading (p,) of a sample."""
+        """First half of a step: correction from reference and reading (p,) of a sample."""
         from hammerstein.compensators.feedback.pid_kernel import correct
 
         memory = state.memory.copy()
@@ -150,7 +150,7 @@ class FeedbackController(Controller[ControllerState]):
     def request(
         self, state: ControllerState, feedforward_v: ArrayLike | None = None
     ) -> tuple[Array, ControllerState]:
-        """Second half of a step: voltages (m,) of the correction beside a feedforward (m,)."""
+        """Second half of a step: voltages (m,) of the correction plus a feedforward (m,)."""
         from hammerstein.compensators.feedback.pid_kernel import request
 
         memory, asked = state.memory.copy(), np.empty(self.n_inputs)
@@ -160,7 +160,7 @@ class FeedbackController(Controller[ControllerState]):
         return asked, ControllerState(memory)
 
     def path_and_feedforward(self, reference_um: ArrayLike) -> tuple[Array, Array]:
-        """Path that the readings are compared with, later where the feedforward is, and the feedforward."""
+        """Path to compare readings with, delayed by the feedforward, and the feedforward itself."""
         reference = checked_reference(reference_um, self.n_outputs)
         samples = reference.shape[1]
         forward = np.repeat(self.range.start_v[:, None], samples, axis=1)
@@ -171,7 +171,7 @@ class FeedbackController(Controller[ControllerState]):
 
     @property
     def late_samples(self) -> int:
-        """Samples by which the position follows the reference, for the feedforward's want of preview."""
+        """Delay of the position in samples, caused by the limited preview of the feedforward."""
         return self.feedforward.delay_samples if self.feedforward is not None else 0
 
     def to_iosys(self, sample_time_s: float, name: str = "compensator") -> BlockSystem:
@@ -194,7 +194,7 @@ class FeedbackController(Controller[ControllerState]):
 
 @dataclass(frozen=True, eq=False)
 class StreamState(Memory):
-    """Memory of the controller, references (p, delay) that wait for their reading, memory of the feedforward.
+    """Memory of the controller, delayed references (p, delay), and memory of the feedforward.
 
     controller : after the reading of the last sample; forward : empty without feedforward
     """
@@ -217,7 +217,7 @@ class FeedbackStream:
 
     @property
     def delay_samples(self) -> int:
-        """Samples that a reference waits for the reading it is compared with."""
+        """Delay of a reference before it is compared with a reading, in samples."""
         forward = self.law.feedforward
         return self.law.late_samples + (0 if forward is None else forward.preview_samples)
 
@@ -238,11 +238,11 @@ class FeedbackStream:
         return asked, StreamState(controller, line[:, 1:], forward)
 
     def primed(self, reference_um: ArrayLike) -> tuple[StreamState, Array]:
-        """State of the block when the drive for the first sample of a reference known ahead is due.
+        """State of the block at the drive of the first sample of a reference known in advance.
 
         Returns
         -------
-        state : the feedforward has seen as much of the reference as it needs ahead
+        state : the feedforward has received its preview of the reference
         coming : (p, N) the reference from there on
         """
         reference = checked_reference(reference_um, self.law.n_outputs)
@@ -257,8 +257,8 @@ class FeedbackStream:
 def closed_loop(law: Controller[Any], plant: Plant, reference_um: ArrayLike, seed: list[int]) -> Response:
     """Closed-loop response of an actuator with a sensor, from rest.
 
-    It is what ``Plant.closed_loop`` gives, to the last bit; where controller and hysteresis are those of this
-    package the loop over the samples is compiled.
+    Identical to ``Plant.closed_loop`` to the last bit; the loop over the samples is compiled if controller
+    and hysteresis are those of this package.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def _computed(
 
 
 def _judged(gains: Gains, model: HammersteinModel, sample_time_s: float, sensor_bandwidth_hz: float) -> Gains:
-    """Given gains with the sensitivity of the loop, where the model tells it; infinite if it is unstable."""
+    """Given gains with the sensitivity of the loop, if the model determines it; infinite if unstable."""
     told = not isinstance(model.dynamics, (StaticDynamics, WithLoop)) and gains.fit(
         model.hysteresis.n_outputs
     )

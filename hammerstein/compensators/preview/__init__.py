@@ -1,1 +1,1 @@
-"""The inverse of hysteresis and dynamics together, for a path that is known ahead."""
+"""Inverse of hysteresis and dynamics together, for a path that is known in advance."""

@@ -1,4 +1,4 @@
-"""The inverse of the whole model: first of its linear block, known ahead, then of its hysteresis."""
+"""Inverse of the whole model: of its linear block with preview, then of its hysteresis."""
 
 import math
 from dataclasses import dataclass
@@ -46,22 +46,21 @@ class HammersteinInverseLaw(Law[PathState]):
     """U = Gamma^-1 (G^-1 (F Y_r)): reference filter, inverse of the linear block, exact static inverse.
 
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
-    model stands on the filtered reference. It needs the reference some samples ahead: one for a resonant
+    model is on the filtered reference. It needs the reference some samples ahead: one for a resonant
     axis, more for zeros outside the unit circle, half the length of the filter, and the input delay.
     On a stream the drive leaves later by ``preview_samples``; ``drive_for`` aligns a path known ahead. A
     stream starts from rest, or on a path whose first ``start_samples`` are known (``primed``).
     With less preview than that (``preview_s``), the rest is a delay of the position, ``delay_samples``.
 
     The filter F is a linear-phase low-pass: 1 within 0.1 % up to 0.7 ``filter_hz``, 1/2 at ``filter_hz``,
-    below 0.1 % from 1.3 ``filter_hz`` on. A path with corners or jumps needs one: far above the resonance
-    the inverse asks for more than any drive can give (``linear.large_gain_hz``).
+    below 0.1 % from 1.3 ``filter_hz`` on. A path with corners or jumps needs one: far above the resonance,
+    the inverse requests more than any drive can supply (``linear.large_gain_hz``).
 
     A path known ahead may start away from rest. Before its first and after its last sample it is continued by
     its point reflection; the modes of G^-1 start so that the drive does not ring (creep starts from rest).
-    The actuator itself starts where it stands (``range.start_v``): the way from there to the path, and from
-    the range back to the path when the range was reached, is taken by a linear-quadratic feedback inside the
-    law on the model's state (1 um of error weighs as much as 100 um of drive), mostly at the range: a few
-    milliseconds for a resonant axis.
+    The actuator starts at ``range.start_v``. A linear-quadratic feedback on the model's state inside the law
+    (1 um of error weighs as much as 100 um of drive) moves it to the path from there, and back to the path
+    after saturation, mostly at the range: a few milliseconds for a resonant axis.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ class HammersteinInverseLaw(Law[PathState]):
 
     Attributes
     ----------
-    linear : the inverse of the linear block, with what it needs and asks for
+    linear : the inverse of the linear block, with its preview and gains
     preview_samples, delay_samples, delay_s, start_samples : see above
 
     Raises
@@ -124,21 +123,21 @@ class HammersteinInverseLaw(Law[PathState]):
 
     @property
     def delay_samples(self) -> int:
-        """Samples by which the position follows the reference, for want of preview."""
+        """Delay of the position in samples, caused by limited preview."""
         return self.needed_samples - self.preview_samples
 
     @property
     def delay_s(self) -> float:
-        """The same as a time [s]."""
+        """Delay of the position [s]."""
         return self.delay_samples * self.sample_time_s
 
     @property
     def start_samples(self) -> int:
-        """Samples of a path that must be known before its first drive, where it starts away from rest."""
+        """Samples of a path, starting away from rest, that must be known before its first drive."""
         return self.needed_samples + START_SAMPLES
 
     def statement(self) -> str:
-        """Say what the law does before a run: inverse of the hysteresis, preview, delay, large gains."""
+        """Properties of the law before a run: inverse of the hysteresis, preview, delay, large gains."""
         parts = [self.exact.invertibility.statement(), self.linear.statement()]
         ahead = self.preview_samples
         if ahead != self.linear.preview_samples or self.delay_samples:
@@ -195,14 +194,14 @@ class HammersteinInverseLaw(Law[PathState]):
         return (drive, PathState(raw, known, modes, away, ExactState(stack, hand))) if sound else None
 
     def primed(self, reference_um: ArrayLike) -> tuple[PathState, Array]:
-        """State of the law when the drive for the first sample of a path (p, N) known ahead is due.
+        """State of the law at the drive of the first sample of a path (p, N) known in advance.
 
-        The path is continued at both ends by its point reflection; the actuator stands still at its start.
+        The path is continued at both ends by its point reflection; the actuator is at rest at its start.
         Of a path that is not known to its end, the first ``start_samples`` suffice for the state.
 
         Returns
         -------
-        state : the law has seen the first ``preview_samples`` of the path
+        state : the law has received the first ``preview_samples`` of the path
         coming : (p, N) the path from there on
 
         Raises InputError where the preview is longer than the path.

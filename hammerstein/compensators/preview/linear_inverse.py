@@ -1,4 +1,4 @@
-"""For a reference that is known some samples ahead: its low-pass, and the inverse of a linear block."""
+"""Low-pass filter of a reference, and inverse of a linear block with preview."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from hammerstein.quantities import interval, number_of
 from hammerstein.records.checks import runs
 
 LONGEST_FILTER = 100_000
-"""Taps; two seconds of a path at 50 kHz."""
+"""Most taps of a filter: two seconds of a path at 50 kHz."""
 
 
 def low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
@@ -39,7 +39,7 @@ def low_pass_taps(filter_hz: float | None, sample_time_s: float) -> Array:
 
 
 def filtered_by(taps: Array, raw: Array) -> Array:
-    """Reference (p, N) behind the filter, shorter by its length less one."""
+    """Filtered reference (p, N), shorter by the length of the filter minus one."""
     from hammerstein.compensators.preview.preview_kernel import filtered
 
     if len(taps) == 1:
@@ -50,18 +50,18 @@ def filtered_by(taps: Array, raw: Array) -> Array:
 
 
 TAIL = 1e-8
-"""Response of the inverse, in parts of its largest, at which it is cut."""
+"""Response of the inverse, relative to its largest, at which it is truncated."""
 LONGEST_PREVIEW = 20_000
-"""Samples; a longer response decays so slowly that the inverse is ill-conditioned."""
+"""Longest response [samples]; beyond, the inverse is ill-conditioned."""
 LARGE_GAIN = 10.0
-"""Times the drive of a slow path from which a band of frequencies is named."""
+"""Ratio to the drive of a slow path from which statements name a frequency band."""
 NEGLIGIBLE = 1e-10
-"""Entry, in parts of the largest, that is rounding; its inverse is the largest condition number."""
+"""Entry, relative to the largest, that is rounding; its inverse is the largest condition number."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearInverse:
-    """The input v of a block that makes its output equal to y on every sample of the grid.
+    """Input v of a block that makes its output equal to y on every sample of the grid.
 
         x[k+1] = A_s x[k] + B_s y+[k]
         v[k]   = C_s x[k] + sum over j of F_j y+[k+j],      y+_i[k] = y_i[k + ahead_i]
@@ -69,7 +69,7 @@ class LinearInverse:
     The block gives row i of its output ``ahead_i`` samples after its input: one for a resonant axis, whose
     input is held. The zeros of the block are the modes of its inverse. Those inside the unit circle run
     forward from the past (creep, and the sampling zero near -1 of a second-order axis); those outside run
-    backward from the future: that is what the taps F_j are, cut where they have died out.
+    backward from the future: they give the taps F_j, truncated where they have decayed.
 
     A, B, C : forward modes; taps : (j, p, p); ahead : (p,)
     lift : (n, n_s) block state of the forward modes; future : (j, n, p) block state of the backward modes
@@ -90,7 +90,7 @@ class LinearInverse:
 
     @property
     def preview_samples(self) -> int:
-        """Samples of reference that must be known ahead of the drive."""
+        """Samples of the reference that must be known before the drive."""
         return self.delay_samples + self.reach_samples
 
     @property
@@ -108,21 +108,21 @@ class LinearInverse:
         return filled(run_inverse, *given, shape=shape, products=self.A.size + self.taps.size)
 
     def response(self, frequency_hz: Array) -> Complex:
-        """Frequency response (frequency, p, p) from y to v, preview taken off and input delay left out."""
+        """Frequency response (frequency, p, p) from y to v, without preview and input delay."""
         z = np.exp(2j * np.pi * frequency_hz * self.block.sample_time_s)
         direct = np.einsum("jvy,fj->fvy", self.taps, z[:, None] ** np.arange(len(self.taps)))
         return transfer(self.A, self.B, self.C, direct, z) * z[:, None, None] ** self.ahead
 
     @cached_property
     def large_gain_hz(self) -> tuple[tuple[float, float], ...]:
-        """Bands [Hz] in which v must be more than ten times as large as y needs when it stands still."""
+        """Bands [Hz] in which the gain from y to v exceeds ten times the static one."""
         grid = np.linspace(0.0, 0.5 / self.block.sample_time_s, 4001)[1:-1]
         gain = np.linalg.norm(np.linalg.inv(self.block.response(grid)), ord=2, axis=(1, 2))
         still = np.linalg.norm(np.linalg.inv(self.block.response(0.0))[0], ord=2)
         return tuple((float(grid[a]), float(grid[b])) for a, b in runs(gain > LARGE_GAIN * still))
 
     def statement(self) -> str:
-        """Say how far ahead it looks, and at which frequencies it asks for much drive."""
+        """State the preview, and the frequencies with large gain."""
         ahead = self.preview_samples
         samples, time = number_of(ahead, "sample"), interval(ahead * self.block.sample_time_s)
         text = f"The inverse of the dynamics looks {samples} ahead ({time})"
@@ -169,7 +169,7 @@ def linear_inverse(dynamics: Dynamics, sample_time_s: float) -> LinearInverse:
 
 
 def block_inverse(plain: LinearBlock, delay: int = 0) -> LinearInverse:
-    """Invert a block on its grid, in front of which the input is ``delay`` samples late.
+    """Invert a block on its grid, with an input delay of ``delay`` samples.
 
     Raises SimulationError as ``linear_inverse`` does.
     """

@@ -1,4 +1,4 @@
-"""The inverse of dynamics with hysteresis in their loop, in passes of linearisation, known ahead."""
+"""Inverse of dynamics with hysteresis in their loop by repeated linearisation, with preview."""
 
 import contextlib
 import itertools
@@ -28,22 +28,22 @@ from hammerstein.quantities import interval
 from hammerstein.signals import smooth_step
 
 MOST_PASSES, PATIENCE = 24, 3
-"""Passes that are tried, and how many in a row may leave more than the best before."""
+"""Largest number of passes, and how many in a row may be worse than the best."""
 MOST_STEPS, REMEMBERED = 60, 3
-"""Accelerated steps of each gain on a path that is known as a whole, and how many are remembered. On waves up
+"""Accelerated steps of each gain on a path known as a whole, and the remembered ones. On waves up
 to twice the resonance of two made-up stacks, 40 steps left 0.0001 to 0.003 of the path with every gain but
 the smallest; where 12 or 25 were remembered, up to 0.8."""
 ENOUGH = 1e-4
-"""Part of the path that may be left: identified models miss it by twenty times as much and more."""
+"""Allowed error, in parts of the path: identified models have twenty times as much and more."""
 BEGINNINGS = (1, 4, 16)
-"""How long a path that begins away from rest grows until it is itself, in parts of the inverse's reach."""
+"""Duration of the soft start of a path that begins away from rest, in parts of the inverse's reach."""
 SHARES = (0.25, 0.5, 0.1, 1.0)
-"""Of the range, for the slow loops whose gains are tried."""
+"""Parts of the range, for the slow loops whose gains are tried."""
 TRIAL_SAMPLES = 2000  # of the path on which the passes are tried
 TRIAL_PART = 0.3
-"""Of the slow reach, for the path on which the passes are tried."""
+"""Amplitude of the trial path, in parts of the slow reach."""
 TRIAL_BAND, TRIAL_WAVES = 0.6, 8
-"""Part of the lowest resonance up to which that path has waves, and their number: on a slow path, a gain with
+"""Highest frequency of the trial path over the lowest resonance, and its lines: on a slow path, a gain with
 which the passes diverge near the resonance can be the best."""
 
 
@@ -51,7 +51,7 @@ which the passes diverge near the resonance can be the best."""
 class PassState(Memory):
     """Memory of one pass.
 
-    missed : (p, reach) references still to be inverted; pushed : (q, reach) disturbances that wait for them
+    missed : (p, reach) references still to be inverted; pushed : (q, reach) their disturbances
     modes : (n_s,) of the inverse; moved, inner : (n,) states of the linear block; hysteresis : of Gamma
     """
 
@@ -65,12 +65,12 @@ class PassState(Memory):
 
 @dataclass(frozen=True, eq=False)
 class LoopPass:
-    """Inverse of a loop whose hysteresis is a gain K and a known disturbance beside it.
+    """Inverse of a loop whose hysteresis is a gain K plus a known disturbance.
 
         x+ = (A + E K F) x + (B + E K G) v + E d,    y = C x + D v = r,    z = F x + G v
 
-    On the path the states follow from r, so that d, which is w - K z of the pass before, moves z little even
-    near a resonance. Where Gamma moves twice in a sample, z and d are those of both moves.
+    On the path, r determines the states, so that d, which is w - K z of the previous pass, changes z little
+    even near a resonance. If Gamma moves twice in a sample, z and d are those of both moves.
     """
 
     block: FeedbackBlock
@@ -122,7 +122,7 @@ class LoopPass:
         return v, d, PassState(*late, modes, moved_on, inner, hysteresis)
 
     def tried(self, path: Array) -> tuple[int, float]:
-        """Number of passes after the first, and the part of a path (p, N) from rest that they leave."""
+        """Number of passes after the first, and their error relative to a path (p, N) from rest."""
         reach, errors = self.inverse.reach_samples, []
         known = np.hstack([path, np.zeros((len(path), reach))])
         pushed = np.zeros((self.block.E.shape[1], known.shape[1]))
@@ -137,11 +137,11 @@ class LoopPass:
         return int(np.argmin(errors)), min(errors)
 
     def solved(self, known: Array) -> tuple[float, Array]:
-        """Part of a path from rest that is left, and the inputs v (m, N) that leave it, by Anderson's steps.
+        """Relative error on a path from rest, and the inputs v (m, N), by Anderson acceleration.
 
-        They converge where passes alone lead away: d is sought at which a pass gives d again.
+        It solves for the fixed point of d and converges where plain passes diverge.
 
-        known : (p, N + reach_samples) path and what follows it
+        known : (p, N + reach_samples) path and its continuation
 
         Source: D. G. Anderson, Journal of the ACM 12 (1965) 547-560.
         """
@@ -183,18 +183,17 @@ class LoopPathState(Memory):
 
 
 class LoopInverseLaw(Law[LoopPathState]):
-    """Inverse of a model with hysteresis in the loop of its dynamics, for a path that is known ahead.
+    """Inverse of a model with hysteresis in the loop of its dynamics, for a path known in advance.
 
         d_0 = 0,    v_i = the inverse of the loop with Gamma = K z + d_i,    d_(i+1) = Gamma(z_i) - K z_i
 
     and U = Gamma_0^-1 v: every pass inverts a linear block exactly on the sample grid (``LoopPass``,
     ``linear_inverse``). K are the gains of slow loops over a part of the range (``FeedbackBlock.slow_gain``)
-    or of the largest amplitudes, whichever leaves least of a trial path. Gamma_0 is a hysteresis in front of
-    the dynamics. Each pass looks ``reach_samples`` further ahead. A path that is known as a whole
-    (``drive_for``) takes accelerated steps of its own, which also converge where passes lead away.
+    or of the largest amplitudes, whichever has the smaller error on a trial path. Gamma_0 is a hysteresis in
+    front of the dynamics. Each pass needs ``reach_samples`` more preview. A path that is known as a whole
+    (``drive_for``) uses accelerated steps of its own, which also converge where passes diverge.
 
-    The actuator starts at rest at its working point. A drive that stands at its range leaves the path, and
-    the law does not know.
+    The actuator starts at rest at its working point. The law does not account for saturation of the drive.
 
     Parameters
     ----------
@@ -208,14 +207,14 @@ class LoopInverseLaw(Law[LoopPathState]):
     ----------
     preview_samples : samples that must be known ahead
     loops : the gains that have an inverse; a path known as a whole is tried with all of them
-    loop, passes, left : gain and number of passes of a stream, and the part of the trial path that they leave
+    loop, passes, left : gain and number of passes of a stream, and their error relative to the trial path
 
     Raises
     ------
     InputError : too little preview, a start away from the working point, and as ``HammersteinInverseLaw``
     SimulationError : no inverse of the linear block, or passes that do not come nearer to the path
 
-    Source: fixed-point iteration on what a linear model leaves of the nonlinearity, with the outputs
+    Source: fixed-point iteration on the nonlinear remainder of a linear model, with the outputs
     prescribed; Devasia, Chen and Paden, IEEE Transactions on Automatic Control 41 (1996) 930-942, section 3.
     """
 
@@ -253,7 +252,7 @@ class LoopInverseLaw(Law[LoopPathState]):
             raise InputError("preview_s", f"hysteresis in the loop needs {needed} here, not {preview_s:g}")
 
     def statement(self) -> str:
-        """Say what the law does before a run: passes, preview, start."""
+        """State properties of the law before a run: passes, preview, start."""
         ahead = self.preview_samples
         return (
             f"{self.exact.invertibility.statement()} The hysteresis in the loop is inverted in "
@@ -286,10 +285,10 @@ class LoopInverseLaw(Law[LoopPathState]):
         return drive, LoopPathState(raw[:, samples:].copy(), path[:, samples:].copy(), tuple(after), exact)
 
     def drive_for(self, reference_um: ArrayLike) -> Array:
-        """Drive (m, N) aligned with a reference (p, N) that is known ahead; its last value is held.
+        """Drive (m, N) aligned with a reference (p, N) known in advance; its last value is held.
 
-        The iterations are those of this path, with the gains that leave least of it within the range: several
-        drives can meet a path at the samples, and some of them swing far between.
+        It iterates on this path with the gains of least error within the range: several drives can reach a
+        path at the samples, and some of them oscillate between.
         """
         reference = checked_reference(reference_um, self.n_outputs)
         least, drive = (True, np.inf), np.zeros((self.n_inputs, reference.shape[1]))
@@ -326,9 +325,9 @@ class LoopInverseLaw(Law[LoopPathState]):
         return filtered_by(self.taps, np.hstack([before, reference, after]))[:, self._early :]
 
     def _tried(self, model: HammersteinModel) -> tuple[list[LoopPass], LoopPass, int, float]:
-        """Loops that have an inverse; the one that leaves least of a trial path, its passes, and what part.
+        """Loops with an inverse; the one with the least error on a trial path, its passes, and that error.
 
-        Raises SimulationError where no linear block has an inverse, or all of them lead away from the path.
+        Raises SimulationError if no linear block has an inverse, or all passes diverge.
         """
         half = 0.5 * self.range.span_v
         half = np.where(np.isfinite(half), half, model.amplitude_v)  # of the records, where there is no end

@@ -1,4 +1,4 @@
-"""Compiled loops of the inverse of the linear block. Every sum has a fixed order, however long the signal."""
+"""Compiled loops of the inverse of the linear block. Every sum has a fixed order for any signal length."""
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def run_inverse(a, b, c, taps, ahead, x, y, first, stop, v):  # type: ignore[no-
 def step_path(  # type: ignore[no-untyped-def]
     sample, frame, filter_taps, inverse, recovery, table, about, raw, known, modes, away, stack, hand
 ):
-    """Voltages as they are sent (m,), the memory after one sample (p,), and whether all is finite.
+    """Absolute voltages (m,), memory after one sample (p,), and whether all are finite.
 
     frame : as for ``to_sent``; filter_taps : of the reference filter, one: none
     inverse : a, b, c, taps, ahead of ``run_inverse``; recovery : a, b, gain of ``respond_exact``

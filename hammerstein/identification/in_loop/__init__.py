@@ -1,1 +1,1 @@
-"""Hysteresis inside the loop: all its numbers together, from the simulated output."""
+"""Identification of hysteresis inside the loop by simulation error."""

@@ -54,18 +54,18 @@ from hammerstein.records.record import Record, driven_inputs
 from hammerstein.runtime.resources import one_blas_thread
 
 STATES = (2, 4, 8, 16)
-"""Of each output, where no order is given, until more are not better. A model with more than it needs
-explains with further modes, and badly, that a resonance moves with the amplitude."""
+"""States of each output that are tried without given order, until more are not better. Too many states
+imitate the amplitude dependence of a resonance, badly, by further modes."""
 MOST_STATES = 400
-"""That can be asked for; the largest model of measured records has 48."""
+"""Largest order; the largest model of measured records has 48 states."""
 PATIENCE = 4
-"""Steps in a row after which a search ends that lowers the error of what is held back no more."""
+"""Consecutive steps without improvement on the selection experiments, after which a search ends."""
 GAINED = 0.99
-"""Part of the error held back that must be left, or more paths are not worth their numbers."""
+"""Ratio of selection errors above which more paths are not worth their parameters."""
 ALIKE = 0.05
-"""Part by which the amplitudes of records differ that count as one."""
+"""Relative difference of amplitudes of records that count as equal."""
 EVERY_S = 60.0
-"""Between two models that are written while a search goes on."""
+"""Interval between partial models that a search writes [s]."""
 INVERSE = "compensate finds the voltages of a path in passes, and says whether they converge"
 FORMAT = "hammerstein-feedback-search/2"
 WHAT = "file of an interrupted search"
@@ -73,7 +73,7 @@ WHAT = "file of an interrupted search"
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """How hysteresis in a loop is identified.
+    """Options for the identification of hysteresis in a loop.
 
     order : states of the linear block, of all outputs together; searched if not given
     minutes : of search after which the best model found is given; what an interruption lost does not count
@@ -99,7 +99,7 @@ class LoopSettings:
 
     @property
     def sensor(self) -> SensorModel:
-        """What is known of the sensor."""
+        """Known properties of the sensor."""
         bandwidth_hz, delay_s = self.sensor_bandwidth_hz, self.sensor_delay_s
         return Settings(sensor_bandwidth_hz=bandwidth_hz, sensor_delay_s=delay_s).sensor
 
@@ -170,7 +170,7 @@ def identify_in_loop(
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Result of a search: the loop, the linear dynamics beside it, and every structure that was tried."""
+    """Result of a search: the loop, linear dynamics for comparison, and every structure that was tried."""
 
     loop: LoopParameters
     block: LinearBlock
@@ -282,7 +282,7 @@ class _Work:
         return tried if best is None or tried.trial.percent < GAINED * best.trial.percent else best
 
     def _tried(self, begun: LoopParameters, parts: Selection) -> _Best:
-        """Search until the error held back falls no more, or take what was found before an interruption."""
+        """Search until the selection error stops falling, or restore the result of an interrupted search."""
         stage = self._done(begun) or self._searched(begun, parts)
         self.stages.append(stage)
         self._keep()
@@ -470,7 +470,7 @@ def result_of(
 
 
 def model_so_far(loop: LoopParameters, records: Sequence[Record], name: str) -> HammersteinModel:
-    """Model of a search that goes on, without a verdict; InputError if it is not stable.
+    """Partial model of a running search, without a verdict; InputError if it is not stable.
 
     records : fitted records, settled periods counted from one voltage
     """

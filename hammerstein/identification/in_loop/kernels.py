@@ -1,4 +1,4 @@
-"""Compiled loops of plays inside the loop: the path of a record, and its exact derivatives.
+"""Compiled loops of plays inside the loop: trajectory of a record, and its exact derivatives.
 
 One row of a *path* holds all factors that a sample multiplies with model parameters: state x, input u,
 hysteresis w, every play minus its linear part, g = p - beta z, every product of hysteresis inputs, and the
@@ -11,7 +11,7 @@ import numpy as np
 from hammerstein.compiled import compiled
 
 WIDTH = 128
-"""Numbers whose derivatives go through a record together: they stay in the fast caches."""
+"""Parameters whose derivatives are computed together, so that they fit the cache."""
 
 
 @compiled(fastmath=True, nogil=True, error_model="numpy")

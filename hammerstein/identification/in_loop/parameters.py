@@ -1,4 +1,4 @@
-"""All numbers of plays inside the loop of a linear block, as one vector that a search moves."""
+"""All parameters of plays inside the loop of a linear block, as one vector for a search."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from hammerstein.quantities import number_of
 
 SEARCHED = ("A", "B", "C", "D", "E", "F", "G", "H", "c", "K")
 LEAST_THRESHOLD = 1e-4
-"""Keeps a threshold above zero."""
+"""Smallest threshold, to keep it positive."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoopParameters:
-    """Numbers of a block with plays inside its loop, on one sample grid.
+    """Parameters of a block with plays inside its loop, on one sample grid.
 
         x+ = A x + B u + E w,  z = F x + G u + H w,  y = C x + D u
         w_i = sum over j of c_ij (p_ij - beta_ij z_i) + sum over j of K_ij product_j
@@ -53,7 +53,7 @@ class LoopParameters:
     factors: Indices
 
     def vector(self) -> Array:
-        """Return all that is searched (P,): entries, weights, and logarithms of thresholds."""
+        """Return all free parameters (P,): entries, weights, and logarithms of thresholds."""
         parts = [getattr(self, name).ravel() for name in SEARCHED]
         return np.concatenate([*parts, np.log(self.r).ravel()])
 
@@ -68,7 +68,7 @@ class LoopParameters:
         return replace(self, **found, r=r)
 
     def tables(self) -> tuple[Indices, Indices]:
-        """For every number the entry of the path it is multiplied with, and the row it is added to.
+        """For every parameter, the entry of the trajectory that it multiplies, and the row of the product.
 
         See ``kernels.differentiate``.
         """
@@ -105,7 +105,7 @@ class LoopParameters:
 
     @property
     def moves(self) -> int:
-        """How often the plays move in a sample."""
+        """Number of moves of the plays per sample."""
         return 1 + bool(len(self.H))
 
     def path(self, u: Array, warm: int) -> tuple[Array, np.ndarray[Any, Any]]:
@@ -126,7 +126,7 @@ class LoopParameters:
             return np.asarray(self.C @ self.path(u, warm)[0][warm:, :n].T + self.D @ u)
 
     def fastest(self, margin: float) -> tuple[Array, Array]:
-        """How far poles of the loop lie beyond 1 - margin, and the derivatives (poles, P) of that.
+        """Excess of poles of the loop over 1 - margin, and its derivatives (poles, P).
 
         They are those of every amplitude on the way from rest, where no play moves, to the largest, where all
         do: the narrowest of each z move first, of all z together and of each z alone. Were only the largest
@@ -181,7 +181,7 @@ class LoopParameters:
         )
 
     def describe(self) -> str:
-        """Say in few words how large it is."""
+        """Short description of its size."""
         h, plays = self.r.shape
         products = f", {self.K.shape[1]} products" if self.K.size else ""
         often = ", twice per sample" * (self.moves - 1)

@@ -1,4 +1,4 @@
-"""Search of all numbers at once: Levenberg and Marquardt's steps on the simulated output.
+"""Search of all parameters at once: Levenberg-Marquardt steps on the simulated output.
 
 Hysteresis of any kind in the loop: all numbers at once, from simulated outputs.
 """
@@ -19,11 +19,11 @@ from hammerstein.identification.in_loop.kernels import WIDTH, differentiate
 from hammerstein.identification.in_loop.parameters import LoopParameters
 
 LARGEST_TURN = 0.5
-"""Most that the logarithm of a threshold moves in one step."""
+"""Largest change of the logarithm of a threshold in one step."""
 TRIES = 10
-"""Dampings tried before a search ends."""
+"""Number of dampings tried before a search ends."""
 PENALTY = 1e3
-"""What a pole beyond the bound by 1 costs, in parts of the root of the sum of squares."""
+"""Penalty of a pole beyond the bound by 1, relative to the root of the sum of squares."""
 
 
 class SettledPeriod(NamedTuple):
@@ -40,18 +40,18 @@ class SettledPeriod(NamedTuple):
 
     @property
     def sent(self) -> Array:
-        """Voltages (m, warm + N) from where a simulation starts."""
+        """Voltages (m, warm + N) from the start of a simulation."""
         return np.take(self.u, np.arange(-self.warm, self.u.shape[1]), axis=1, mode="wrap")
 
     def left(self, simulated: Array) -> Array:
-        """Weighted error (p, N) of a simulation, about its mean: what was before a record adds an offset."""
+        """Weighted error (p, N) of a simulation about its mean: the history of a record adds an offset."""
         with np.errstate(all="ignore"):  # a simulation may diverge, and its error is then not finite
             error = self.y - simulated
             return np.asarray(self.weight * (error - error.mean(axis=1, keepdims=True)))
 
 
 class Progress(NamedTuple):
-    """A search after so many steps, and the rms of each period."""
+    """State of a search: number of steps, and rms error of each period."""
 
     step: int
     rms: Array
@@ -81,7 +81,7 @@ class Search:
         pool: Executor,
         tell: Callable[[Progress], bool] = lambda progress: False,
     ) -> LoopParameters:
-        """Return the best numbers found; the search ends where ``tell`` says so, too."""
+        """Return the best parameters; ``tell`` can end the search early."""
         found, mu = start, self.damping
         errors = self._errors(found, periods, pool)
         scale = PENALTY * np.sqrt(sum(float((e * e).sum()) for e in errors))
@@ -153,29 +153,29 @@ class Search:
 
 
 FAR = 1e3
-"""What a simulation that diverged counts as, in parts of the largest position."""
+"""Error of a diverged simulation, in parts of the largest position."""
 ROUNDS = 60
-"""Most steps of a search: no trial gained in more of them."""
+"""Largest number of steps of a search: no trial gained from more."""
 GAINED = 1e-5
-"""Part of the sum of squares that a step must gain: less is rounding of differences beside noise."""
+"""Relative decrease of the sum of squares that a step needs; less is rounding."""
 
 
 class Adjustable(Protocol):
-    """A kind of hysteresis with numbers that a search may move, scaled so that 1 is a large change."""
+    """Kind of hysteresis with free parameters, scaled so that 1 is a large change."""
 
     @property
     def free(self) -> Array:
-        """Numbers (number,)."""
+        """Free parameters (number,)."""
         ...
 
     def at(self, free: Array) -> Any:
-        """Give the kind with other numbers."""
+        """Return the kind with other parameters."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """Feedback block, and the entries of its matrices that are fitted.
+    """Feedback block with the fitted entries of its matrices.
 
     block : its hysteresis is ``Adjustable``; the weights stay fixed, because E scales their output
     entries : matrix names, A to G, and the free entries of each
@@ -185,12 +185,12 @@ class OpenLoop:
     entries: Mapping[str, Flags]
 
     def vector(self) -> Array:
-        """Give all that is searched (number,): entries, then numbers of the kind."""
+        """Return all free parameters (number,): entries, then those of the kind."""
         own = [getattr(self.block, name)[free] for name, free in self.entries.items()]
         return np.concatenate([*own, cast(Adjustable, self.block.hysteresis).free])
 
     def at(self, vector: Array) -> OpenLoop:
-        """Give the block whose ``vector`` this is."""
+        """Return the block with this ``vector``."""
         found, first = {}, 0
         for name, free in self.entries.items():
             matrix = getattr(self.block, name).copy()

@@ -1,4 +1,4 @@
-"""Experiments that choose the structure of a loop, and the errors of any model on them.
+"""Selection experiments for the structure of a loop, and the errors of any model on them.
 
 Records as experiments of a search for hysteresis in a loop: settled periods, or whole from rest.
 """
@@ -24,13 +24,13 @@ from hammerstein.records.record import Record, driven_inputs
 Respond = Callable[[Array], tuple[Array, Any]]
 """Outputs (p, sample) from rest to inputs (m, sample), and the state after."""
 SETTLED = 1e-3
-"""Part of an output by which two periods may differ that count as settled: a fifth of a noise of 0.5 %."""
+"""Relative difference of two settled periods: a fifth of a noise of 0.5 %."""
 SMALLEST = 0.02
-"""Part of the largest record, below which a record counts no more: it holds noise."""
+"""Size relative to the largest record, below which a record is ignored as noise."""
 MOST_BEFORE = 8
-"""Periods that a simulation runs through at most before the one that counts."""
+"""Largest number of settling periods of a simulation."""
 REPEATED = 1e-3
-"""Part of its range by which a voltage may differ after a period: measured ones differ by 2e-4."""
+"""Allowed difference of a voltage after a period, in parts of its range: measured ones differ by 2e-4."""
 PARTS, CHANCE, LARGEST = 8, 3.0, 0.03
 """In the first of so many parts of a period, settled outputs differ by at most so many times what they differ
 by elsewhere, and by at most this part of their range. What differs everywhere is noise, whose colour is that
@@ -38,7 +38,7 @@ of the resonances, and drift; what differs at first alone began at rest."""
 
 
 def with_period(record: Record) -> Record:
-    """Give a record that states no period the one that it shows, if it holds settled periods.
+    """Set the period of a record without stated period, if it contains settled periods.
 
     Its voltages repeat, two periods or more, and already its first period of the outputs is as the second
     one but for noise. From rest it is not.
@@ -74,7 +74,7 @@ def _repeats_after(u: Array) -> int:
 def from_one_point(
     records: Sequence[Record], held: Sequence[Record]
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
-    """Count all settled periods from one voltage: where a record began at rest, or 0 V without one.
+    """Refer all settled periods to one voltage: that of a record that began at rest, else 0 V.
 
     A settled period began anywhere, so that its first voltage says nothing.
     """
@@ -91,12 +91,12 @@ def from_one_point(
 
 
 def start_of(record: Record) -> InitialState:
-    """State before a record: at rest, or the same periods before."""
+    """State before a record: at rest, or periodic."""
     return InitialState("repeated" if _period(record) else "rest")
 
 
 def settled_periods(records: Sequence[Record], respond: Respond) -> list[SettledPeriod]:
-    """Settled periods, or whole records that began at rest; an error counts by the size of its record.
+    """Settled periods, or whole records that began at rest; errors are weighted by the record's size.
 
     Otherwise slow paths and small loops, which move little, would hardly be fitted beside a resonance.
 
@@ -135,19 +135,19 @@ def _periods_before(respond: Respond, period: SettledPeriod) -> int:
 
 
 HELD = 3
-"""One of so many experiments is held back while the structure is chosen."""
+"""One of this many experiments selects the structure."""
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Experiments that are fitted while the structure is chosen, and those held back that choose it."""
+    """Fitted experiments, and the selection experiments that choose the structure."""
 
     seen: Sequence[SettledPeriod]
     held: Sequence[SettledPeriod]
 
     @classmethod
     def of(cls, periods: Sequence[SettledPeriod]) -> Selection:
-        """Hold back one of ``HELD`` in the order of their amplitudes.
+        """Reserve one of ``HELD`` experiments for selection, in the order of their amplitudes.
 
         Without the largest amplitudes, the others do not determine what the hysteresis does there.
         """
@@ -157,18 +157,18 @@ class Selection:
         return cls(seen, [periods[i] for i in back])
 
     def of_linear(self, block: LinearBlock) -> Trial:
-        """Linear dynamics on what is held back."""
+        """Error of linear dynamics on the selection experiments."""
         errors = [p.left(block.respond(p.sent)[0][:, p.warm :]) for p in self.held]
         n, (p, m) = len(block.A), block.D.shape
         return Trial(f"linear dynamics, order {n}", 2 * n + n * m + p * n + p * m, self._squares(errors))
 
     def of_loop(self, found: LoopParameters, pool: Executor) -> Trial:
-        """Parameters on what is held back."""
+        """Error of a loop on the selection experiments."""
         errors = pool.map(lambda p: p.left(found.simulate(p.u, p.warm)), self.held)
         return Trial(found.describe(), len(found.vector()), self._squares(list(errors)))
 
     def of_model(self, candidate: Candidate, trial: Trial, record: Record) -> Trial:
-        """Any model on what is held back, in place of its errors elsewhere.
+        """Error of any model on the selection experiments.
 
         record : one of the experiments, with their sample time and the voltage from which they count
         """

@@ -1,4 +1,4 @@
-"""Where a search for plays in a loop begins: linear dynamics of the records, and plays of what they move."""
+"""Start of a search for plays in a loop: linear dynamics of the records, with plays of their signals."""
 
 import itertools
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from hammerstein.identification.in_loop.parameters import LoopParameters
 from hammerstein.identification.in_loop.search import SettledPeriod
 
 THRESHOLDS = (0.1, 0.3, 0.8, 1.8)
-"""Of the plays of a path at first, as parts of the rms of its z where that is largest."""
+"""Initial thresholds of a path, in parts of the largest rms of its z."""
 COUPLING = 0.3
 """Part of the position in the z of a path at first, beside the voltage. The charge of a stack follows
 u + T x / C, where the position has a part of T^2 / (K C): 0.2 to 0.5. From the position alone, searches
@@ -56,7 +56,7 @@ def linear_start(block: LinearBlock, periods: Sequence[SettledPeriod]) -> LoopPa
 def with_paths(
     found: LoopParameters, e: Array, f: Array, g: Array, periods: Sequence[SettledPeriod]
 ) -> LoopParameters:
-    """Numbers with more paths, whose weights are 0; their z are scaled to an rms of 1.
+    """Parameters with more paths of weight 0; their z are scaled to an rms of 1.
 
     e : (n, more); f : (more, n); g : (more, m)
     """
@@ -84,7 +84,7 @@ def with_paths(
 
 
 def with_plays(found: LoopParameters, periods: Sequence[SettledPeriod]) -> LoopParameters:
-    """Numbers with plays, whose weights are 0, between those of every path and on both sides of them."""
+    """Parameters with additional plays of weight 0, between and around those of every path."""
     r = np.sort(found.r, axis=1)
     wide = np.hstack([r[:, :1] ** 2 / r[:, 1:2], r, r[:, -1:] ** 2 / r[:, -2:-1]])
     more = np.sqrt(wide[:, 1:] * wide[:, :-1])
@@ -96,7 +96,7 @@ def with_plays(found: LoopParameters, periods: Sequence[SettledPeriod]) -> LoopP
 def with_band(
     found: LoopParameters, low: float, high: float, periods: Sequence[SettledPeriod]
 ) -> LoopParameters | None:
-    """Numbers with a path more for each input, that sees and drives the modes of a band alone [rad/sample].
+    """Parameters with an additional path per input, coupled only to the modes of a band [rad/sample].
 
     None where the band holds no mode.
     """
@@ -109,7 +109,7 @@ def with_band(
 
 
 def with_ends(found: LoopParameters) -> LoopParameters:
-    """Numbers whose plays also move at the end of a sample, where its first w leads."""
+    """Parameters whose plays also move at the end of a sample, after the effect of their first w."""
     return replace(
         found,
         E=np.hstack([0.5 * found.E, 0.5 * found.E]),
@@ -120,7 +120,7 @@ def with_ends(found: LoopParameters) -> LoopParameters:
 
 
 def with_products(found: LoopParameters) -> LoopParameters:
-    """Numbers with all products of two and three z of the first paths, of weight 0."""
+    """Parameters with all products of two and three z of the first paths, of weight 0."""
     m, h = found.B.shape[1], len(found.r)
     several = [itertools.combinations_with_replacement(range(m), count) for count in (2, 3)]
     rows = [[*some, *[h] * (3 - len(some))] for each in several for some in each]

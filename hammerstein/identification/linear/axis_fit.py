@@ -33,18 +33,18 @@ UNSURE_LAG_PERCENT = 30.0  # the same of a low-pass
 APART = 2.0
 """Ratio of the time constants of two slow modes from which they are two."""
 SURE_CREEP = 3.0
-"""Standard errors that the gain of a creep mode must have, if it was not asked for."""
+"""Significance, in standard errors, that the gain of a creep mode needs unless it is requested."""
 CREEP_OPERATORS = 6  # few: creep is slower than any loop
 FEW = 40
 """Columns with which a fit begins where more are kept: those of the largest power, which come last."""
 PARTS = 16
-"""Parts of a record within which errors may be related."""
+"""Parts of a record within which residuals may be correlated."""
 NEAR = 1.15
 """Ratio of frequencies that belong to a resonance."""
 SETTLED_CYCLES = 4.0
 """Cycles of a record from which its spectrum has lines."""
 EXCITED = 2.0
-"""Amplitude near a resonance, in parts of what the model leaves there, from which it counts as excited."""
+"""Amplitude near a resonance, relative to the residual there, from which it counts as excited."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class AxisFit:
 
     @property
     def lowers_the_error(self) -> bool:
-        """Whether the dynamics lower the error by a part that matters.
+        """Whether the dynamics lower the error significantly.
 
         A resonance outside the excited band must lower it as much as any block that improves the model: below
         it, it only bends the response, as drift and creep do.
@@ -98,7 +98,7 @@ class AxisFit:
         return known and (self.lag_error_percent is None or self.lag_error_percent <= UNSURE_LAG_PERCENT)
 
     def creep_identified(self, records: Sequence[Record]) -> bool:
-        """Whether the records identify the creep: slow modes of clear size that end within a record.
+        """Whether the records identify the creep: slow modes of significant size that decay within a record.
 
         A mode that follows the drive within a radian of its fastest record cannot be separated from the gain,
         nor a mode slower than the longest record from drift. Two modes with nearly the same time constant

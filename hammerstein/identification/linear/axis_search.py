@@ -1,4 +1,4 @@
-"""Where the search for resonance, lag, creep and delay of each axis begins.
+"""First guesses of resonance, lag, creep and delay of each axis.
 
 Steps of the search for resonance, damping, lag and creep of an axis, together with the static block.
 
@@ -46,14 +46,14 @@ from hammerstein.records.record import Record
 SMALLEST_CHANGE = 1e-6  # of a logarithm, below which a search stands
 MOST_STEPS = 25  # a search that has not arrived is given up
 ENOUGH = 1e-7
-"""Relative gain of a step under which the search has arrived."""
+"""Relative gain of a step below which the search has converged."""
 ROUGHLY = 1e-5
 """The same where places are compared that are refined further afterwards."""
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """The search at one place: parameters, best slopes there, and the problem linearised about them.
+    """State of a search: parameters, their best slopes, and the linearised problem.
 
     ``curvature`` and ``pull`` are the normal equations of a change of x with the slopes eliminated, and
     ``drag`` (slope, parameter) is how the slopes follow such a change.
@@ -80,7 +80,7 @@ def refine(task: AxisTask, x: Array, enough: float = ENOUGH) -> Point:
 
 
 def refined(task: AxisTask, x: Array, enough: float = ENOUGH) -> Iterator[Point]:
-    """The best place known after each step of ``refine``; who takes them may give the search up."""
+    """Best point after each step of ``refine``; the caller may stop early."""
     lower, upper = task.limits
     begin = np.clip(x, lower, upper)
     here = _point(task, begin, fit_slopes(task, partial(task.path, begin))[0])
@@ -100,7 +100,7 @@ def refined(task: AxisTask, x: Array, enough: float = ENOUGH) -> Iterator[Point]
 
 
 def rms_behind(task: AxisTask, x: Array) -> float:
-    """Rms error with given parameters and the best slopes [um]."""
+    """Rms error with given parameters and their best slopes [um]."""
     return fit_slopes(task, partial(task.path, x))[1]
 
 
@@ -153,12 +153,12 @@ Progress = Callable[[str], None]
 GUESS_SAMPLES = 60_000  # of the liveliest part, for the first guess
 GUESS_OPERATORS = 20  # of the hysteresis beside that guess
 SEARCH_TURNS = 2
-"""How often the hysteresis that the axis is searched with is found anew, behind the axis found."""
+"""Number of repeated fits of the hysteresis with the axis found so far."""
 COUNTED_SAMPLES = 15_000
 """Samples that are counted in the sums of a search; more than so many are thinned out evenly."""
 SEARCH_BEGINS = 3  # best places from which a search starts
 TRIED, FAR = 4, 1.5
-"""Steps after which a search is given up that leaves so many times as much as the best one."""
+"""Steps after which a search is abandoned if its error exceeds this multiple of the best one."""
 SAME_DAMPING, SAME_ERROR = 0.2, 1e-3
 """Logarithm of a ratio of dampings, and part of the error, within which two searches are at one place."""
 PEAK_DAMPING = 0.03  # of a peak that the residual shows
@@ -255,7 +255,7 @@ def checked_delay(
     *,
     sensor: SensorModel | None = None,
 ) -> FirstGuess:
-    """Guess with the best delay for all thresholds, to a fraction of a sample; a given delay stays.
+    """Guess with the best delay for all thresholds, to a fraction of a sample; a given delay is kept.
 
     The few thresholds of the search smooth the hysteresis, which looks like a delay of about a sample.
 
@@ -295,7 +295,7 @@ def _searched(full: AxisTask) -> tuple[AxisTask, Array]:
 
 
 def thinning(records: Sequence[Record]) -> int:
-    """Every how many samples are counted in the sums of a search."""
+    """Stride of the samples in the sums of a search."""
     return max(sum(record.samples for record in records) // COUNTED_SAMPLES, 1)
 
 
@@ -364,14 +364,14 @@ def ringing_hz(task: AxisTask) -> list[float]:
 
 
 def search_creep(task: AxisTask, before: Array) -> Point:
-    """One slow mode beside the parameters ``before``, and all of them near the best ones."""
+    """One slow mode in addition to the parameters ``before``, and an approximate optimum of all."""
     span = duration_s(task.records)
     begins = [np.concatenate([before, [0.02, math.log(part * span)]]) for part in CREEP_SPANS]
     return min((refine(task, x) for x in begins), key=lambda point: point.rms)
 
 
 def search_lag(task: AxisTask, before: Array) -> Point:
-    """Low-pass near the best one, beside the parameters (ln frequency, ln damping) of a resonance if any."""
+    """Approximate low-pass, with the parameters (ln frequency, ln damping) of a resonance if there is one."""
     times = np.log(min(r.sample_time_s for r in task.records) * np.array(LAG_SAMPLES))
     lower, upper = task.limits
     begins = [np.append(before, time) for time in times if lower[-1] <= time <= upper[-1]]

@@ -1,4 +1,4 @@
-"""One axis during its fit: what stays fixed, and the paths that its parameters make."""
+"""One axis during its fit: fixed data, and paths for given parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from hammerstein.records.record import Record
 SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
 MIXED = 3
-"""Columns of an input beside that of its slopes."""
+"""Columns of an input in addition to that of its slopes."""
 LARGEST_CREEP = 1.0
 """Largest gain of a slow mode, in parts of the fast displacement, on whose way it goes."""
 STEP = 1e-6
@@ -56,7 +56,7 @@ class OfSum:
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """How the output of a path that responds to one sum of all columns changes with each of its parameters.
+    """Derivatives of the output of a path from one sum of all columns by each of its parameters.
 
     weights : of the columns; paths : the path, and the ones with each parameter a step ahead
     """
@@ -108,7 +108,7 @@ ByColumn = SideBySide | Derivatives
 
 @dataclass(frozen=True)
 class AxisShape:
-    """What an axis consists of; the order of its parameters is that of the fields.
+    """Components of an axis; the order of its parameters is that of the fields.
 
     resonance : ln frequency and ln damping; lag : ln time constant
     creep_modes : gain and ln time constant of each
@@ -161,7 +161,7 @@ class AxisTask:
         return len(self.kept[0].held) if self.kept else sum(map(len, self.grids))
 
     def mixed(self, slopes: Array) -> AxisTask:
-        """The task with few columns, kept in memory: outputs of given slopes, and a few plays beside them.
+        """The task with few columns in memory: outputs of given slopes, and a few plays.
 
         Each input has one column for its given slopes, and three columns for thirds of its slope changes.
         """
@@ -203,7 +203,7 @@ class AxisTask:
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Smallest and largest parameters that records of this length and rate can tell anything of."""
+        """Smallest and largest parameters that records of this length and rate can identify."""
         step = min(record.sample_time_s for record in self.records)
         span = duration_s(self.records)
         shape, lower, upper = self.shape, [], []
@@ -218,11 +218,11 @@ class AxisTask:
         return np.array(lower), np.array(upper)
 
     def path(self, x: Array, sample_time_s: float) -> LinearBlock:
-        """Discrete path from the static block to the reading: what ``discretise`` gives, but quickly."""
+        """Discrete path from the static block to the reading; a fast form of ``discretise``."""
         return self.paths([x], sample_time_s)[0]
 
     def paths(self, places: Sequence[Array], sample_time_s: float) -> list[LinearBlock]:
-        """Discrete paths for several places of the search."""
+        """Discrete paths for several points of the search."""
         each = [self._observed(*axis_matrices(self.shape, x)) for x in places]
         return held_each(each, sample_time_s, self.late(sample_time_s)[1])
 
@@ -238,7 +238,7 @@ class AxisTask:
         return both, driven, seen, np.zeros((1, 1))
 
     def late(self, sample_time_s: float) -> tuple[int, float]:
-        """Whole samples by which a reading comes late, and the part of one, by the sensor's delay, too."""
+        """Whole samples and fraction of the delay of a reading, sensor delay included."""
         samples = self.delay_samples + self.sensor.part_s(sample_time_s) / sample_time_s
         return math.floor(samples), samples % 1.0
 
@@ -268,7 +268,7 @@ class AxisTask:
 
 
 def duration_s(records: Sequence[Record]) -> float:
-    """Time of the longest record [s]."""
+    """Duration of the longest record [s]."""
     return max(record.sample_time_s * record.samples for record in records)
 
 

@@ -1,4 +1,4 @@
-"""Linear blocks that couple the outputs: a state-space model, and the static block in front of it."""
+"""Linear blocks that couple the outputs: state-space model and static block in front of it."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def refit_linear(
     order: int,
     progress: Callable[[str], None] | None = None,
 ) -> LinearBlock:
-    """State-space model behind a static block that is known."""
+    """State-space model behind a known static block."""
     static = Candidate(hysteresis, StaticDynamics(n_outputs=hysteresis.n_outputs))
     outputs = [static.predict(record, start) for record, start in zip(records, starts, strict=True)]
     return fit_state_space(measured_response(records, outputs), order, progress=progress)
@@ -132,7 +132,7 @@ def fit_static_coupled(
     solver: SquaresSolver = "invertible",
     ridge: float = 0.0,
 ) -> StaticFit:
-    """Weights behind a linear block that couples the outputs: all of them are unknowns of one problem.
+    """Weights in front of a linear block that couples the outputs: all are unknowns of one problem.
 
     Every output counts in parts of its own power. See ``fit_static`` for the arguments.
     """

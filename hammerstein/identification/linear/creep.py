@@ -1,4 +1,4 @@
-"""Creep from a slow record, behind a static block that is known."""
+"""Creep from a slow record, behind a known static block."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Delay of the outputs in samples: one search for every kind of fit."""
+"""Search for the delay of the outputs in samples, for every kind of fit."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +16,7 @@ followed with a few thresholds looks late, too."""
 WORSE_DELAYS = 2
 """Delays in a row that leave more, after which no other one is tried."""
 PART = 1.0 / 64.0
-"""Parts of a sample to which a delay is told."""
+"""Resolution of a delay, in fractions of a sample."""
 MOST_PARTS = 4
 """Most parts of a sample that are tried."""
 MOST_MORE = 60.0
@@ -26,7 +26,7 @@ TINY = 1e-300
 
 S = TypeVar("S")
 Attempt = Callable[[float, S], tuple[Sequence[float], S]]
-"""Rms of what is left of each output with a delay, and what was found, from what one near by has found."""
+"""Function from a delay, and the fit of one nearby, to the residual rms of each output and the fit."""
 
 
 def delay_in_samples(delay_s: float, sample_time_s: float) -> float:
@@ -42,7 +42,7 @@ def delay_in_samples(delay_s: float, sample_time_s: float) -> float:
 
 
 def best_delay(attempt: Attempt[S], begin: S, *, first: float = 0.0, parts: bool = False) -> tuple[float, S]:
-    """Shortest delay [samples] whose error is close to the least, and the fit with it.
+    """Shortest delay [samples] whose error is close to the minimum, and its fit.
 
     Everything is fitted again for each delay, because dynamics and hysteresis look like delays themselves.
 

@@ -73,7 +73,7 @@ class WeightedLines:
         return (slice(i, i + CHUNK) for i in range(0, len(self.z), CHUNK))
 
     def cost(self, model: Matrices) -> float:
-        """Sum of squares that a model leaves of the target."""
+        """Sum of squared errors of a model."""
         return _Blocks(model, (slice(None),)).cost(self)
 
     def percent(self, cost: float) -> float:
@@ -154,7 +154,7 @@ CONDITION = 1e6
 """Condition of the eigenvectors above which A is not taken apart: nearly equal poles share their states."""
 
 ROUNDING = 1e-30
-"""Part of the whole sum of squares below which nothing but rounding is left."""
+"""Part of the total sum of squares that is only rounding."""
 
 DAMPING = Damping(less=0.2, more=4.0, least=1e-10, most=1e10)
 
@@ -298,7 +298,7 @@ class _Place:
 
 
 def split(model: Matrices) -> _Blocks:
-    """Change the state coordinates so that A falls into one block a pair of poles, where it can be done."""
+    """Change the state coordinates so that A has one block per pair of poles, if possible."""
     n = len(model.A)
     poles, vectors = linalg.eig(model.A)
     upper = np.flatnonzero(poles.imag > 0.0)

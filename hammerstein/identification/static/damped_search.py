@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt search: steps that are damped more after a failure and less after a gain.
+"""Levenberg-Marquardt search: damping rises after a failed step and falls after a good one.
 
 Source: Marquardt, Journal of the Society for Industrial and Applied Mathematics 11 (1963) 431-441.
 """
@@ -35,7 +35,7 @@ class Damping:
 
 @dataclass(frozen=True, eq=False)
 class Tried(Generic[P]):
-    """One step: where it began, where it led to, and whether that is better."""
+    """One step: start, result, and whether it is better."""
 
     before: P
     there: P
@@ -43,7 +43,7 @@ class Tried(Generic[P]):
 
     @property
     def best(self) -> P:
-        """Where the search goes on."""
+        """Better one of both points."""
         return self.there if self.gained else self.before
 
 

@@ -24,7 +24,7 @@ CLOSED_UM = 0.02
 KEPT_SHARE = 0.5
 """Part of a record that must remain for the rest to be spent on forgetting."""
 CAUTION = 0.25
-"""Part of the remaining record that is left out as well until the dynamics are known."""
+"""Part of the remaining record that is also excluded until the dynamics are known."""
 FASTER = 1.2
 """Ratio of the power of a motion's differences from which one part of a record counts as faster."""
 SAME_SWING = 1e-3
@@ -48,7 +48,7 @@ SAME_PLACE = 5.0
 """Distance of two first readings, in parts of their noise, that is no other position."""
 ALIKE = 2.0  # error of the beginning, in parts of that of the rest
 ALIKE_FLOOR = 0.002
-"""A start from rest is believed if it explains the beginning as well as the model explains the rest."""
+"""A start from rest is accepted if its error at the beginning is close to that of the remaining record."""
 
 
 def cautious_start(record: Record) -> InitialState:
@@ -69,7 +69,7 @@ def cautious_start(record: Record) -> InitialState:
 
 
 def closed(record: Record) -> bool:
-    """Whether a record ends where it began, at a tip of the voltage: a loop that can be repeated for ever."""
+    """Whether a record ends where it began, at a tip of the voltage, so that it can be repeated."""
     u, y = record.u_v[list(driven_inputs(record))], record.y_um
     span_v, span_um = np.ptp(u, axis=1), np.maximum(np.ptp(y, axis=1), np.finfo(float).tiny)
     gap_v, gap_um = np.abs(u[:, -1] - u[:, 0]) / span_v, np.abs(y[:, -1] - y[:, 0]) / span_um
@@ -85,7 +85,7 @@ def judged_starts(
     simpler: Sequence[Predict] = (),
     slow_s: float = 0.0,
 ) -> tuple[InitialState, ...]:
-    """Initial state of each record for a given model: the one with the least error.
+    """Initial state of each record with the least error of a given model.
 
     A beginning that no initial state explains is excluded. It stays if one of the ``simpler`` models explains
     it as well as the model explains the rest: then the model is wrong there, and the record takes the initial
@@ -112,7 +112,7 @@ def own_starts(
     mode: InitialStateMode = "auto",
     slow_s: float = 0.0,
 ) -> tuple[InitialState, ...]:
-    """Start of each record that suits one model, on the samples that count for all of them.
+    """Initial state of each record for one model, on the samples that count for all models.
 
     starts : as another model explains the records best; predict : readings that the model predicts
     slow_s : as for ``judged_starts``
@@ -248,7 +248,7 @@ def _creeping(
 
 
 def stepped_from(end: str, record: Record, samples: int) -> InitialState:
-    """Start of a record that stepped from an end of its range, so many samples before."""
+    """Initial state after a step from an end of the range, a given number of samples before."""
     return InitialState("stepped", 0, _of_kind(end, record).turn_v, max(samples, 1))
 
 
@@ -274,7 +274,7 @@ def decays(error: Array) -> bool:
 
 
 def alike_starts(records: Sequence[Record]) -> dict[str, tuple[InitialState, ...]]:
-    """Initial states that all records may have in common; periodic ones are always repeated."""
+    """Initial states that all records may share; periodic records are always repeated."""
 
     def all_of(kind: str) -> tuple[InitialState, ...]:
         return tuple(
@@ -288,7 +288,7 @@ def alike_starts(records: Sequence[Record]) -> dict[str, tuple[InitialState, ...
 
 
 def split_state(records: Sequence[Record], starts: Sequence[InitialState]) -> bool:
-    """Whether all records begin at one voltage and position, and not all in one state."""
+    """Whether all records begin at one voltage and position, but in different states."""
     if len({replace(start, turn_v=()) for start in starts}) < 2:
         return False
     places = [(record.rest_v + record.u_v[:, 0], record.y_um[:, 0]) for record in records]
@@ -323,7 +323,7 @@ def found_starts(
     settle_s: float,
     mode: InitialStateMode = "auto",
 ) -> tuple[InitialState, ...]:
-    """Initial state of each record, found together with a model.
+    """Initial state of each record, estimated together with a model.
 
     A model is fitted for each initial state that all records may have in common. Starting from the best of
     these, each record is judged alone with the model fitted to the states found so far.
@@ -400,7 +400,7 @@ def _error_of(records: Sequence[Record], starts: tuple[InitialState, ...], fit: 
 
 
 def whole_error(records: Sequence[Record], starts: Sequence[InitialState], predict: Predict) -> float:
-    """Mean squared error of whole records in parts of their ranges, whatever the starts leave out."""
+    """Mean squared error of whole records in parts of their ranges, excluded beginnings included."""
     parts = [_left(record, predict, start) for record, start in zip(records, starts, strict=True)]
     return float(np.mean(parts))
 
@@ -408,7 +408,7 @@ def whole_error(records: Sequence[Record], starts: Sequence[InitialState], predi
 def shortened(
     records: Sequence[Record], starts: Sequence[InitialState], samples: int
 ) -> tuple[tuple[Record, ...], tuple[InitialState, ...]]:
-    """Beginnings of the records with a given number of samples in all, for what must be quick.
+    """Beginnings of the records with a given total number of samples, for quick searches.
 
     Longer ones of the records that show how far each input swings: a threshold that is engaged in the whole
     records is engaged in these as well.
@@ -439,7 +439,7 @@ def _swung(records: Sequence[Record]) -> Array:
 def most_dynamic_segment(
     records: Sequence[Record], starts: Sequence[InitialState], samples: int
 ) -> tuple[tuple[Record, ...], tuple[InitialState, ...]]:
-    """Parts of the records, with a given total number of samples, that show most of the dynamics.
+    """Parts of the records, with a given total number of samples, with most of the dynamics.
 
     This is the part of each record in which the outputs move fastest, if it is clearly faster than the
     beginning: slow cycles do not show a resonance that a later multisine excites.

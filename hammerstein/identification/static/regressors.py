@@ -116,7 +116,7 @@ class PlayColumns(NamedTuple):
     def of(
         cls, u_v: Array, start: InitialState, grids: Sequence[Array], with_derivatives: bool = False
     ) -> PlayColumns:
-        """Columns that are made when asked for, those before the record first."""
+        """Columns that are computed on demand, those before the record first."""
         plays = [played(path, grid) for path, grid in zip(start.path_v(u_v), grids, strict=True)]
         signs = _first_signs(u_v, plays, grids) if with_derivatives else None
         held = _held(plays, signs)

@@ -43,9 +43,9 @@ SquaresSolver = Literal["least_squares", "nonnegative", "invertible"]
 LEAST_SLOPE = 0.05
 """Bound of the slopes of a direct pair, in parts of its mean slope."""
 WHITENED = 1e-6
-"""Power of a combination of the plays of one input, in parts of the largest, from which it is told at all."""
+"""Power of a combination of the plays of one input, in parts of the largest, from which it is identified."""
 INSEPARABLE = 1e-10
-"""One less a correlation of two inputs, below which they cannot be told apart."""
+"""One minus a correlation of two inputs, below which they are inseparable."""
 SHARED = 0.1
 """Share of an input in such a combination from which it takes part."""
 
@@ -73,7 +73,7 @@ class StaticFit:
 
 
 class SlopeColumns(NamedTuple):
-    """Where the slopes of each pair stand among the columns of one output.
+    """Positions of the slopes of each pair among the columns of one output.
 
     ``merge[o]`` (column, slope) sums the columns of the merged threshold grids into those of the pairs;
     ``parts[o][k]`` are the slopes of the pair of input k.

@@ -1,4 +1,4 @@
-"""Thresholds from a fine grid: one at a time moves to the place with the lowest error.
+"""Thresholds from a fine grid: coordinate exchange to the position of lowest error.
 
 The error has many local minima over the thresholds: two thresholds may share a span where one is needed while
 another span has none. Descent cannot move from one such minimum to another, but an exchange can (sequential
@@ -63,7 +63,7 @@ def finer(grid: Array, reach_v: float) -> Array:
 def exchanged(
     moments: Sequence[Moments], fine: Sequence[Array], grids: Sequence[Array], unit: Array
 ) -> tuple[Array, ...]:
-    """Thresholds of each input after all exchanges that lower the error; those not worth their price leave.
+    """Thresholds of each input after all exchanges that lower the error; useless ones are removed.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def exchanged(
 
 
 def losses(moments: Sequence[Moments], grids: Sequence[Array], unit: Array) -> Array:
-    """Squared error (threshold,) in its unit that comes back with each play that leaves all others in place.
+    """Increase of the squared error (threshold,) if one play is removed and all others are kept.
 
     Parameters
     ----------

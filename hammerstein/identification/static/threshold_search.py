@@ -1,4 +1,4 @@
-"""Thresholds near the best ones, by Levenberg-Marquardt steps with the weights projected out.
+"""Search for thresholds by Levenberg-Marquardt steps with the weights projected out.
 
 Once the thresholds r are fixed, the weights w of each output follow by linear least squares. So only the
 thresholds are searched (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432). Each
@@ -37,7 +37,7 @@ MOST_STEPS = 60  # a search that has not arrived is given up
 ENOUGH, ARRIVED_AFTER = 1e-4, 2
 """Relative gain of a step that counts as none, and how many such steps in a row end the search."""
 HOPELESS = 10.0
-"""Times the gain of its last step that a search may be away from what is wanted."""
+"""Distance from the target, in gains of its last step, beyond which a search is abandoned."""
 DAMPING = Damping(least=1e-12, most=1e3)
 ROUNDING = 1e-15
 """Part of an output's power under which its squared errors are rounding."""
@@ -72,7 +72,7 @@ class ThresholdTask:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The search at one place: the error there, and the problem linearised about it.
+    """State of a search: its error, and the linearised problem.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Linearised:
 
     @property
     def criterion(self) -> float:
-        """Logarithm of the cost, and the price of the thresholds: the less, the better."""
+        """Logarithm of the cost plus the price of the thresholds; smaller is better."""
         return math.log(max(self.cost, np.finfo(float).tiny)) + self.price * sum(map(len, self.grids))
 
     def step(self, damping: float, reach_v: Array) -> Grids:
@@ -134,7 +134,7 @@ def place_at(task: ThresholdTask, grids: Grids, unit: Array | None = None) -> Li
 def search_near(
     task: ThresholdTask, grids: Grids, unit: Array | None = None, below: float = math.inf
 ) -> Linearised:
-    """Levenberg-Marquardt steps from given thresholds until nothing is gained; never worse than there.
+    """Levenberg-Marquardt steps from given thresholds until they converge; never worse than the start.
 
     below : criterion that is wanted; a search ends where its steps gain too little to come there
     """
@@ -185,7 +185,7 @@ MOST_ROUNDS = 6
 MOST_TRIED = 4
 """Thresholds that are tried to leave, the cheapest first."""
 STEEPEST = 5.0
-"""Slope, in parts of the largest mean slope of its output, beyond which its threshold is left out."""
+"""Slope, in parts of the largest mean slope of its output, above which its threshold is removed."""
 WORTHWHILE = 1e-3
 """What a round must gain of the criterion, about the part of the squared error that it takes away."""
 
@@ -275,7 +275,7 @@ def _of_measured_slopes(task: ThresholdTask, grids: Grids) -> Grids:
 
 
 def gained(start: StaticFit, fitted: StaticFit) -> bool:
-    """Whether fitted thresholds lower the error by more than their number would by chance.
+    """Whether fitted thresholds lower the error by more than chance.
 
     The initial thresholds are not free parameters; their weights are.
 
@@ -288,7 +288,7 @@ def gained(start: StaticFit, fitted: StaticFit) -> bool:
 
 
 def criterion(fit: StaticFit, parameters: int) -> float:
-    """Criterion of Schwarz (Ann. Stat. 6 (1978) 461-464): the less, the better.
+    """Schwarz criterion (Ann. Stat. 6 (1978) 461-464); smaller is better.
 
     Parameters
     ----------

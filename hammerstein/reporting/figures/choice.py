@@ -1,4 +1,4 @@
-"""Which figures answer a scenario."""
+"""Selection of figures for a scenario."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ MOST_SHOWN_VALUES = 12  # values of a sweep at which loops and paths can be look
 
 
 class Over(NamedTuple):
-    """What curves of a report are drawn over.
+    """Abscissa of the curves of a report.
 
     key : of a row; words : label of the axis; figure : how the files of its figures begin
     """
@@ -73,14 +73,14 @@ TRIAL = Over("trial", "trial", "trials")
 
 
 def swept_over(report: Report, most: int) -> Over | None:
-    """Trials where there are several, else more than so many frequencies; None for single runs."""
+    """Trials if there are several, else frequencies if there are enough; None for single runs."""
     if len({row.trial for row in report.rows}) > 1:
         return TRIAL
     return FREQUENCY if len({row.frequency_hz for row in report.rows}) > most else None
 
 
 def figures_of(report: Report) -> dict[str, Figure]:
-    """Figures that answer a scenario, by name.
+    """Figures of a scenario, by name.
 
     Few values of one signal on each axis in turn give loops and errors over the cycle; more than four
     frequencies give curves over frequency, trials curves over them; everything else is drawn as a path.
@@ -120,7 +120,7 @@ def _traced(report: Report, whole: bool = False) -> dict[str, Figure]:
 
 
 def explored_figures(report: Report) -> tuple[dict[str, Figure], dict[str, dict[str, Figure]]]:
-    """Figures to zoom into: curves over what is swept, and loops or paths at each swept value, by name."""
+    """Interactive figures by name: curves over the sweep, and loops or paths at each swept value."""
     over = swept_over(report, 2)
     groups = by_key(report.traces, lambda trace: swept_label(trace, report.scenario.sweep))
     names = list(groups)

@@ -58,7 +58,7 @@ LINES = 160
 BANDS = 120
 """Parts of a noisy trace of many samples, of each of which the lowest and highest sample are drawn."""
 LEAST = 1e-12
-"""Keeps logarithms of what is zero on the axes."""
+"""Smallest value on logarithmic axes, in place of zero."""
 MEASURED, SEPARATED = "measured", "measured, minus the predicted response to the other inputs"
 UNFITTED = "thresholds not fitted"
 COHERENT = 0.5
@@ -294,11 +294,11 @@ def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) 
 
 MARKERS = "osD^vPX"
 NAME_LETTERS = 24
-"""Of a line of a model's name beside a panel."""
+"""Most letters per line of a model's name beside a panel."""
 REASON_LETTERS = 34
-"""Of a reason beside a row; the table has longer ones."""
+"""Most letters of a reason beside a row; the table has longer ones."""
 LEAST_PERCENT = 1e-9
-"""Percent that stand for none on a logarithmic axis."""
+"""Percentage in place of zero on a logarithmic axis."""
 
 
 def compared_figure(found: Comparison) -> Figure:
@@ -313,12 +313,12 @@ def compared_figure(found: Comparison) -> Figure:
     with drawing(1.5 + 0.34 * max(5, len(names))) as figure:
         panels = figure.subplots(1, 2)
         fitted = [entry.fitted_at for entry in found.entries]
-        entries = _draw_errors(panels[0], fitted, "fitted", hollow=bool(found.held))
-        if found.held:
-            held = [entry.held_at for entry in found.entries]
+        entries = _draw_errors(panels[0], fitted, "fitted", hollow=bool(found.validation))
+        if found.validation:
+            held = [entry.validation_at for entry in found.entries]
             entries |= _draw_errors(panels[0], held, "validation", hollow=False)
         _draw_left(panels[1], [entry.left for entry in found.entries])
-        quantities = ("rms error [% of range]", "error of its compensator [%]")
+        quantities = ("rms error [% of range]", "compensator error [%]")
         for number, (axes, label) in enumerate(zip(panels, quantities, strict=True)):
             letter(axes, number)
             axes.set(xscale="log", xlabel=label)

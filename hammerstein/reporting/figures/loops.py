@@ -212,7 +212,7 @@ MOST_AMPLITUDES = 4  # line styles that can be told apart
 
 
 def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]) -> Figure | None:
-    """Draw the last settled loop of each amplitude, largest first; None where no record has anything to draw.
+    """Draw the last settled loop of each amplitude, largest first; None without loops.
 
     Of a record in which the inputs only move at once, the last cycle of each is drawn, and called so: what is
     measured then is no loop of one pair.
@@ -241,13 +241,13 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
 def figure_of_columns(
     runs: Sequence[LoopRun], inputs: Sequence[str], outputs: Sequence[str]
 ) -> Figure | None:
-    """Loops of columns of records, by the names of these; None where there are none."""
+    """Loops of columns of records, by their names; None without loops."""
     units = [axis_label(name, "V") for name in inputs], [axis_label(name, "µm") for name in outputs]
     return loops_figure(runs, *units) if runs else None
 
 
 def file_labels(sources: Sequence[str]) -> list[str]:
-    """Names of files without ending; with their folder where two have the same.
+    """Names of files without suffix; with their folder if names are equal.
 
     >>> file_labels(["a/x.csv", "a/y.csv"]), file_labels(["a/x.csv", "b/x.csv"])
     (['x', 'y'], ['a_x', 'b_x'])
@@ -259,7 +259,7 @@ def file_labels(sources: Sequence[str]) -> list[str]:
 
 
 def chosen_loops(table: Sequence[Loop]) -> Iterator[Loop]:
-    """One loop for each amplitude that differs by more than a tenth, of the output that answers most."""
+    """One loop for each amplitude that differs by more than a tenth, of the output that responds most."""
     for name in dict.fromkeys(loop.input for loop in table):
         direct = max((loop for loop in table if loop.input == name), key=lambda loop: loop.height_um).output
         own = [loop for loop in telling_loops(table) if (loop.input, loop.output) == (name, direct)]

@@ -1,4 +1,4 @@
-"""Numbers of a baseline and of a run in one plot, with what is allowed between them."""
+"""Numbers of a baseline and of a run in one plot, with their tolerance."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_COURSES = 3
-"""Courses of one figure; more would be too small to read."""
+"""Most curves of one figure; more would be too small to read."""
 SWEPT = {
     "frequency_hz": "frequency [Hz]",
     "amplitude_um": "amplitude [um]",
@@ -46,12 +46,12 @@ NAMED = {
     "amplitude_v": "{} V",
     "trial": "trial {}",
 }
-"""What tells courses apart, in words."""
+"""Description of the difference of curves."""
 UNITS = {"um": "µm", "hz": "Hz", "v": "V", "deg": "deg", "percent": "%"}
 LARGE, LEAST_SHARE = 10.0, 0.1
 """Change, in parts of what is allowed, from which the axis is logarithmic, and what stands for none there."""
 LEAST_ALLOWED = 1e-300
-"""Keeps the quotient finite where a baseline allows nothing."""
+"""Smallest tolerance, to keep the quotient finite."""
 
 
 class SweptNumber(NamedTuple):
@@ -70,16 +70,16 @@ class SweptNumber(NamedTuple):
 
     @property
     def excess(self) -> float:
-        """Largest deviation in units of what is allowed."""
+        """Largest deviation in units of the tolerance."""
         return float(np.max(np.abs(self.moved) / np.maximum(self.allowed, LEAST_ALLOWED)))
 
 
 def courses_of(
     metric: str, accepted: Numbers, now: Numbers, tolerances: Mapping[str, Tolerance]
 ) -> list[SweptNumber]:
-    """Courses of a number that both sides have, the one that moved most first.
+    """Curves of a number that both sides have, the largest change first.
 
-    A number of all axes together, such as a distance, stands in the rows of each: it is one course.
+    A number of all axes together, such as a distance, is in the rows of each: it is one curve.
     """
     both = [key for key in accepted if metric in accepted[key] and metric in now.get(key, {})]
     swept = next((name for name in SWEPT if len({dict(key).get(name) for key in both}) > 1), None)
@@ -102,7 +102,7 @@ def courses_of(
 
 
 def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
-    """Old curve, tolerance and new curve (a), and the change in units of what is allowed (b).
+    """Old curve, tolerance and new curve (a), and the change in units of the tolerance (b).
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ class PathRun(NamedTuple):
 
 
 UPRIGHT_LETTERS = 15
-"""Of a line beside a low panel."""
+"""Most letters of a line beside a low panel."""
 
 
 def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str, title: str = "") -> Figure:
@@ -284,9 +284,9 @@ def _scale_distance(axes: Axes, runs: Sequence[PathRun]) -> None:
 
 
 POINTS_OF_A_LAP = 60
-"""Samples of a turn between which straight lines show no corner: they miss 0.14 % of its radius."""
+"""Samples per turn from which straight lines look smooth: their error is 0.14 % of the radius."""
 MOST_HARMONICS = 30
-"""Of a path that repeats, as a figure draws it."""
+"""Points of one period of a path in a figure."""
 FEWEST_OF_A_SPLINE = 4
 """Points of a cubic."""
 

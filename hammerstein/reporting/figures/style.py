@@ -1,4 +1,4 @@
-"""How every figure looks: one style, colours and lines that survive grey print, points that fit a page.
+"""Style of all figures: colours and lines that survive grey print, sizes that fit a page.
 
 Matplotlib keeps its style and its caches in global state; ``styled`` holds both for one thread at a time
 and puts the user's own style back.
@@ -80,7 +80,7 @@ STYLE: dict[str, Any] = {
 }
 
 REMARK_LETTERS = 66
-"""Letters of a remark that fit above a panel as wide as the page, beside the panel's own."""
+"""Most letters of a remark above a panel with the width of the page."""
 _LOCK = threading.RLock()
 
 
@@ -135,13 +135,13 @@ def line_style(number: int) -> dict[str, Any]:
 
 
 def unmarked_style(number: int) -> dict[str, Any]:
-    """Colour and line of the curve with this number, where markers would hide what is drawn."""
+    """Colour and line of the curve with this number, without markers."""
     line = "-" if number == 0 else OVERLAYS[(number - 1) % len(OVERLAYS)]
     return {"color": COLOURS[number % len(COLOURS)], "linestyle": line}
 
 
 def overlay_style(number: int) -> dict[str, Any]:
-    """Line of the model with this number, drawn over what was measured: thin, dark and broken."""
+    """Line of the model with this number over measured data: thin, dark and dashed."""
     return {"color": DARK, "linestyle": OVERLAYS[number % len(OVERLAYS)], "linewidth": 1.0}
 
 
@@ -164,7 +164,7 @@ def symbol(axis: str, role: Role) -> str:
 
 
 def plain(label: str) -> str:
-    r"""Return a label of the user's as it is: no formula in it, and not hidden for its first underscore.
+    r"""Return a user's label verbatim: without formulas, and visible despite a leading underscore.
 
     >>> plain("_5 $")
     ' _5 \\$'
@@ -173,7 +173,7 @@ def plain(label: str) -> str:
 
 
 def in_lines(text: str, letters: int) -> str:
-    r"""Text in lines of at most so many letters; a number and its unit stay together.
+    r"""Text in lines of a largest length; a number and its unit stay together.
 
     >>> in_lines("circle (worst 3.42 µm)", 20)
     'circle (worst\n3.42 µm)'
@@ -182,7 +182,7 @@ def in_lines(text: str, letters: int) -> str:
 
 
 def column_words(column: str) -> str:
-    """Name of a column without its unit, as a label: a bare number says little.
+    """Name of a column without its unit, as a label; a number is preceded by "column".
 
     >>> column_words("3"), column_words("X (um)")
     ('column 3', 'X')

@@ -36,13 +36,13 @@ ALONE, IN_ROWS = 0.7, 0.5
 """Height of a panel in parts of its width: lower in several rows, so that a page still shows all of them."""
 LOGARITHMIC_FROM = 12.0  # ratio of the ends from which an axis is logarithmic
 BAND_ALPHA = 0.2
-"""Two bands that lie over each other stay apart."""
+"""Transparency of overlapping bands."""
 STAR: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 13, "markeredgecolor": "white"}
 NOMINAL_WIDTH = 0.5
-"""Thin, as the band is what counts."""
+"""Line width of a nominal curve within a band."""
 NOMINAL_POINT: dict[str, Any] = {"linestyle": "none", "marker": "D", "markersize": 3.0}
 BAR_WIDTH = 2.5
-"""Of the bars of several bands beside each other [pt]."""
+"""Width of the bars of several bands beside each other [pt]."""
 APART = 0.012
 """Of the length of the axis, between the bars of two curves."""
 
@@ -209,7 +209,7 @@ def log_where_wide(axes: Axes, values: Array) -> None:
 
 MOST_CYCLES = 1000  # points of a curve
 MINUTES_FROM_S = 180.0
-"""Longer runs have an axis in minutes."""
+"""Duration from which the axis is in minutes [s]."""
 
 
 class DriftRun(NamedTuple):

@@ -1,4 +1,4 @@
-"""Figures into files: SVG for pages and for zooming, PNG where a page of a repository shows it."""
+"""Files of figures: SVG for pages and zooming, PNG for pages of a repository."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ElementTree.register_namespace("xlink", "http://www.w3.org/1999/xlink")
 def save_figures(
     figures: Mapping[str, Figure], folder: Path, owner: Owner = FIGURES, overwrite: bool = False
 ) -> list[Path]:
-    """Write figures, by name, as SVG and PNG, in place of those that the same owner wrote before.
+    """Write figures, by name, as SVG and PNG; they replace earlier ones of the same owner.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def save_figures(
 
 
 def files_of(figures: Mapping[str, Figure], png: bool = False) -> Iterator[tuple[str, bytes]]:
-    """Name and bytes of each file of the figures: SVG, and PNG where it is wanted."""
+    """Name and bytes of each file of the figures: SVG, and PNG on request."""
     for name, figure in figures.items():
         yield f"{name}.svg", svg_of(figure)
         if png:
