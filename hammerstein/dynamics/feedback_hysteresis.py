@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from hammerstein.arrays import Array
 from hammerstein.dynamics.feedback_block import FeedbackBlock, InputProducts, ProductsFile
 from hammerstein.dynamics.linear_block import CONTINUOUS
+from hammerstein.errors import InputError
 from hammerstein.hysteresis import HYSTERESIS, Hysteresis, HysteresisFile, Pair, PrandtlIshlinskii
 from hammerstein.quantities import Delay, Entry, Range, SampleTime, number_of, sampling
 from hammerstein.validation import Strict
@@ -112,10 +113,17 @@ class FeedbackHysteresisDynamics(MatrixForm):
         products: InputProducts | None = None,
         **matrices: ArrayLike,
     ) -> FeedbackHysteresisDynamics:
-        """Keep matrices A to H and a hysteresis; ValueError where their shapes do not fit."""
-        rows = {name: tuple(map(tuple, np.asarray(m).tolist())) or None for name, m in matrices.items()}
+        """Keep matrices A to H and a hysteresis.
+
+        Raises InputError where their shapes do not fit, or the hysteresis counts from a working point.
+        """
+        inside, home = hysteresis.file(), hysteresis.counted_from(np.zeros(hysteresis.n_inputs))
+        if home != hysteresis and inside.hysteresis() == home:
+            what = "counts from a working point; inputs of a loop count from rest: use its counted_from(0)"
+            raise InputError("hysteresis in the loop", what)
+        rows = {name: np.asarray(m).tolist() for name, m in matrices.items() if name != "H" or np.size(m)}
         curved = ProductsFile.of(products) if products else None
-        return cls(**rows, hysteresis=hysteresis.file(), sample_time_s=sample_time_s, products=curved)
+        return cls(**rows, hysteresis=inside, sample_time_s=sample_time_s, products=curved)
 
     def describe(self) -> str:
         """Short description."""

@@ -429,6 +429,8 @@ def _loop_part(block: FeedbackBlock) -> CPart:
     """Hysteresis in the loop; the order of all sums is that of the compiled loop."""
     gamma, n = block.hysteresis, len(block.A)
     start, column, value = block.entries
+    if not len(value):  # C has no empty tables
+        column, value = np.zeros(1, dtype=np.int64), np.zeros(1)
     fours = np.diff(start) // 4
     around = CPart(
         sizes=(

@@ -63,6 +63,8 @@ class Parallel(Hysteresis[ParallelState]):
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", tuple(self.parts))
         shapes = {(part.n_outputs, part.n_inputs) for part in self.parts}
+        if any(isinstance(part, Parallel) for part in self.parts):
+            raise InputError("parallel hysteresis", "has no parallel part; give all parts in one")
         if len(self.parts) < 2 or len(shapes) != 1:
             raise InputError(
                 "parallel hysteresis", "needs two parts or more with the same inputs and outputs"

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from hammerstein.actuators import DEFAULT
 from hammerstein.blocks.instruments import Instruments
@@ -22,7 +22,18 @@ from hammerstein.files import digest_of, digest_of_file, read_limited
 from hammerstein.metrics import Metric, metrics_of
 from hammerstein.model import place_of
 from hammerstein.plugins import load_plugins
-from hammerstein.quantities import Cycles, FileName, Frequency, NoCycles, Seed, Size, Tolerated, Trial, Wait
+from hammerstein.quantities import (
+    Cycles,
+    Figure,
+    FileName,
+    Frequency,
+    NoCycles,
+    Seed,
+    Size,
+    Tolerated,
+    Trial,
+    Wait,
+)
 from hammerstein.scenario.assessment import ASSESSMENTS, Assessment, MetricName, NumberName
 from hammerstein.scenario.source import IdentificationSpec, ModelSource, Tested
 from hammerstein.scenario.variation import Study, Uncertainty
@@ -135,7 +146,7 @@ class Scenario(WithInfinity):
     answered_by: MetricName | None = Field(
         default=None, description="figure of merit that answers the question; the report starts with it"
     )
-    yes_if: dict[MetricName, FiniteFloat] = Field(
+    yes_if: dict[MetricName, Figure] = Field(
         default_factory=dict,
         description="largest value of figures of merit for which the answer to the question is yes; the "
         "first compensator or model is asked",

@@ -12,9 +12,9 @@ from pydantic import Field, field_validator, model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.dynamics import AxesDynamics, Axis, Dynamics
+from hammerstein.dynamics import AxesDynamics, Axis, Dynamics, FeedbackHysteresisDynamics
 from hammerstein.errors import InputError
-from hammerstein.hysteresis import Normals
+from hammerstein.hysteresis import Hysteresis, Normals
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import BaseSamples, Deviation, Draws, Figure, Seed
 from hammerstein.validation import Strict
@@ -196,6 +196,11 @@ class Uncertainty(Strict):
             Parameter(f"weights of {name}", len(weights), bool(self.weights))
             for name, weights in zip(model.outputs, model.hysteresis.weights, strict=True)
         ]
+        inside = _inside(model)
+        found += [
+            Parameter(f"weights in the loop, output {number}", len(weights), bool(self.weights))
+            for number, weights in enumerate(inside.weights if inside else (), start=1)
+        ]
         axes = model.dynamics.axes if isinstance(model.dynamics, AxesDynamics) else ()
         for name, axis in zip(model.outputs, axes, strict=False):
             if axis.resonance_hz is not None:
@@ -219,9 +224,8 @@ class Uncertainty(Strict):
         axes = dynamics.axes if isinstance(dynamics, AxesDynamics) else ()
         rings = any(axis.resonance_hz is not None for axis in axes)
         if ((self.resonance or self.damping) and not rings) or (self.creep and not axes):
-            raise InputError(
-                "uncertainty", f"{model.name} has no axes with a resonance that could be uncertain"
-            )
+            what = f"{model.name} has no axes with a resonance; dynamics of kind {dynamics.kind} do not vary"
+            raise InputError("uncertainty", what)
         drawn = tuple(self._axis_drawn(axis, generator) for axis in axes)
         return dynamics.model_copy(update={"axes": drawn} if axes else {})
 
@@ -241,13 +245,26 @@ def _factor(relative: float, generator: Normals) -> float:
     return float(np.exp(relative * generator.standard_normal()))
 
 
+def _inside(model: HammersteinModel) -> Hysteresis[Any] | None:
+    """Hysteresis in the loop of the dynamics, if its weights are numbers of its own."""
+    dynamics = model.dynamics
+    return dynamics.hysteresis.hysteresis() if isinstance(dynamics, FeedbackHysteresisDynamics) else None
+
+
+def _varied(hysteresis: Hysteresis[Any], relative: float, generator: Normals) -> Hysteresis[Any]:
+    """The same with every weight off by a normal relative deviation."""
+    drawn = [own + relative * np.abs(own) * generator.standard_normal(len(own)) for own in hysteresis.weights]
+    return hysteresis.with_weights(drawn)
+
+
 def _weights_drawn(model: HammersteinModel, relative: float | str, generator: Normals) -> HammersteinModel:
-    hysteresis = model.hysteresis
+    hysteresis, inside = model.hysteresis, _inside(model)
     if not isinstance(relative, str):
-        drawn = [
-            own + relative * np.abs(own) * generator.standard_normal(len(own)) for own in hysteresis.weights
-        ]
-        return replace(model, hysteresis=hysteresis.with_weights(drawn))
+        model = replace(model, hysteresis=_varied(hysteresis, relative, generator))
+        if inside is None:
+            return model
+        file = _varied(inside, relative, generator).file()
+        return replace(model, dynamics=model.dynamics.model_copy(update={"hysteresis": file}))
     if hysteresis.weight_covariance is None:
         raise InputError(
             "uncertainty.weights",

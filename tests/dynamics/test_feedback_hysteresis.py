@@ -235,6 +235,21 @@ def test_a_loop_that_leaves_all_numbers_ends_in_none(kind):
     assert not np.isfinite(found[:, -1]).any()
 
 
+@pytest.mark.parametrize("kind", ["asymmetric", "generalised", "preisach", "parallel"])
+def test_a_working_point_in_the_loop_is_refused_and_not_lost(kind):
+    moved = KINDS[kind].counted_from(np.array([1.5, -0.5]))
+    with pytest.raises(InputError, match=r"use its counted_from\(0\)"):
+        block(moved)
+    assert block(moved.counted_from(np.zeros(2))).hysteresis == KINDS[kind].on_grid(TIME_S)
+
+
+def test_a_loop_without_states_is_its_direct_gain():
+    none = {"A": np.zeros((0, 0)), "B": np.zeros((0, 2)), "C": np.zeros((2, 0)), "E": np.zeros((0, 2))}
+    u = RNG.normal(size=(2, 20))
+    found, _ = block(plays(), **none, F=np.zeros((2, 0))).respond(u)
+    np.testing.assert_allclose(found, matrices()["D"] @ u, rtol=1e-12, atol=1e-14)
+
+
 def test_a_rate_does_not_move_twice_in_a_sample():
     with pytest.raises(InputError, match="would double its rate: omit H"):
         block(KINDS["rate_dependent"], **matrices(moves=2))

@@ -177,3 +177,9 @@ def test_parts_of_different_shapes_are_refused() -> None:
     for parts in ((one,), (one, two)):
         with pytest.raises(InputError, match="two parts or more"):
             Parallel(parts)
+
+
+def test_a_parallel_part_is_refused() -> None:
+    one = PrandtlIshlinskii([[Pair([0.0], [1.0])]])
+    with pytest.raises(InputError, match="give all parts in one"):
+        Parallel((Parallel((one, one)), one))

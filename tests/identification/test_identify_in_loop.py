@@ -162,6 +162,23 @@ def test_settled_periods_need_not_be_stated():
     ]
 
 
+@pytest.mark.full
+def test_a_record_that_begins_in_motion_is_flagged_and_those_from_rest_are_not():
+    """Noise up to 1 kHz at three levels, from rest; one record is cut where the stack moves."""
+    found, block = [], stack()
+    for k in range(7):
+        drawn = np.random.default_rng(k).normal(size=(1, 3000)) * (np.arange(3000) >= 10)  # at rest before
+        u = LEVELS_V[k % 3] * lfilter([0.1], [1.0, -0.9], drawn)
+        y = block.respond(u)[0]
+        y = y + 0.002 * y.std() * np.random.default_rng(100 + k).normal(size=y.shape)
+        found.append(Record(u, y, TIME_S, source=f"record {k}"))
+    _, clean = identify_in_loop(found[:6], LoopSettings(order=2, minutes=5.0))
+    assert not any("does not begin at rest" in flag for flag in clean.flags)
+    cut = Record(found[6].u_v[:, 711:], found[6].y_um[:, 711:], TIME_S, source="cut")
+    _, spoilt = identify_in_loop([*found[:6], cut], LoopSettings(order=2, minutes=5.0))
+    assert [flag.split(":")[0] for flag in spoilt.flags if "rest" in flag] == ["cut does not begin at rest"]
+
+
 def test_outputs_that_lead_can_be_accepted():
     angle = 2.0 * np.pi * np.arange(2 * SAMPLES) / SAMPLES
     early = [Record([k * np.sin(angle)], [k * np.sin(angle + 0.2)], TIME_S) for k in LEVELS_V]

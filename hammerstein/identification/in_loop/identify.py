@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +47,7 @@ from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, SensorModel, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import gain_model, state_space
+from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing, swing_ends
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
@@ -64,6 +65,11 @@ GAINED = 0.99
 """Ratio of selection errors above which more paths are not worth their parameters."""
 ALIKE = 0.05
 """Relative difference of amplitudes of records that count as equal."""
+TENTH = 10
+"""A tenth of a record is its beginning, in which a motion from before it rings down."""
+IN_MOTION, SEEN_MOTION = 4.0, 0.005
+"""Error of the beginning over that after it, and over the range, from which a record does not begin at rest.
+A record cut out of the motion of a stack had 11 and 0.04; twelve from rest had up to 1.1 and 0.001."""
 EVERY_S = 60.0
 """Interval between partial models that a search writes [s]."""
 INVERSE = "compensate finds the voltages of a path in passes, and says whether they converge"
@@ -436,7 +442,8 @@ def result_of(
     best, starts, held_starts = candidates["in_loop"], *(tuple(map(start_of, own)) for own in (records, held))
     fitted = {kind: score(model, records, starts) for kind, model in candidates.items()}
     judged = {kind: score(model, held, held_starts) for kind, model in candidates.items() if held}
-    flags = tuple(record_flags(best, [*records, *held], [*starts, *held_starts]))
+    each = [*records, *held], [*starts, *held_starts]
+    flags = (*record_flags(best, *each), *_in_motion(best, *each))
     swing = half_swing(records)
     fit = Fit(
         inputs=one.inputs,
@@ -467,6 +474,22 @@ def result_of(
         held=held,
     )
     return model_of(fit, best, name, None), fit
+
+
+def _in_motion(best: Candidate, records: Sequence[Record], starts: Sequence[InitialState]) -> Iterator[str]:
+    """Name records without a period whose error is in their beginning: they do not begin at rest."""
+    for record, start in zip(records, starts, strict=True):
+        squares = best.residual(record, start) ** 2
+        first = len(squares.T) // TENTH
+        begun, after = (np.sqrt(part.mean(axis=1)) for part in (squares[:, :first], squares[:, first:]))
+        moved = (begun > IN_MOTION * after) & (begun > SEEN_MOTION * np.ptp(record.y_um, axis=1))
+        if not record.period_samples and moved.any():
+            worst = int(np.argmax(begun * moved))
+            yield (
+                f"{PurePath(record.source).name} does not begin at rest: the rms error of "
+                f"{record.outputs[worst]} is {begun[worst]:.2g} um in its first tenth, {after[worst]:.2g} um "
+                "after it; leave it out, or record it from rest"
+            )
 
 
 def model_so_far(loop: LoopParameters, records: Sequence[Record], name: str) -> HammersteinModel:

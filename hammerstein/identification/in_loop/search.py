@@ -212,8 +212,8 @@ def fit_loop(
 ) -> OpenLoop:
     """Fit all free parameters at once to the simulated outputs, by Gauss-Newton steps in a trust region.
 
-    Derivatives are finite differences, because a kind has no derivatives of its own. The hysteresis is
-    stepped sample by sample, so a period of 4096 samples costs about 0.1 s per parameter and step.
+    Derivatives are finite differences, because a kind has no derivatives of its own: a period of 4096 samples
+    costs about 10 ms per parameter and step.
 
     Parameters
     ----------
