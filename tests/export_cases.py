@@ -276,7 +276,11 @@ def _cases():
     yield Export("loop model that moves twice", loop(curved=True, moves=2), "model")
     inside = asymmetric(), generalised(20.0), preisach(), slower, bouc_wen(), parallel()
     for model in inside:
-        yield Export(f"{model.hysteresis.kind} in a loop", loop(gamma=model.hysteresis), "model")
+        yield Export(
+            f"{model.hysteresis.kind} in a loop",
+            loop(gamma=model.hysteresis.counted_from([0.0, 0.0])),
+            "model",
+        )
     yield Export("bouc_wen twice in a loop", loop(moves=2, gamma=bouc_wen().hysteresis), "model")
     others = {
         "asymmetric": asymmetric(),
