@@ -330,14 +330,11 @@ class Missed(ABC):
         return f"{told}\n{self.reach.statement(self.model.outputs)} Range: {within} (--range)."
 
     def _doubt(self) -> str:
-        """Doubt the unit of a path that leaves the whole travel of the model."""
-        half, asked = half_span_v(self.model), float(np.abs(self.path_um).max())
-        travel = 2.0 * float(np.abs(self.model.amplitude(half)).max()) if np.isfinite(half).all() else np.inf
-        if asked <= travel:
+        """Doubt the unit of a path that goes farther than every slow path can."""
+        far, asked = float(np.abs(self.reach.alone_um).max()), float(np.abs(self.path_um).max())
+        if asked <= far:
             return ""
-        return (
-            f"; or check the unit (--units): the path goes to {asked:.3g} um, the travel is {travel:.3g} um"
-        )
+        return f"; or check its unit: the path goes to {asked:.3g} um, slow paths reach {far:.3g} um"
 
     def remedies(self) -> list[tuple[float, str]]:
         """Remaining error [um] and options of each remedy that helps, the best one first."""

@@ -169,10 +169,10 @@ def _saturation(trial: _Trial, largest_um: float, rows: Indices) -> str:
     flat = {name: k for name, k in ends.items() if slope[k] < FLAT * steepest}
     if not flat or max(float(slope[k]) for k in ends.values()) >= STEEPER * steepest:
         return ""
-    row = rows[list(flat.values())[-1]]
+    where = " and ".join(f"{name} readings (row {rows[k]})" for name, k in flat.items())
     return (
-        f"saturates: towards its {' and '.join(flat)} readings (row {row}) its slope falls below "
-        f"{100.0 * FLAT:.0f} % of the steepest slope; lower the amplitude, or use the model only between them"
+        f"saturates: towards its {where} its slope falls below {100.0 * FLAT:.0f} % of the steepest slope; "
+        "lower the amplitude, or keep away from there"
     )
 
 

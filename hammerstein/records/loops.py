@@ -44,6 +44,8 @@ BACKWARDS_PERCENT = -5.0
 """Width from which a loop turns the other way: bent branches and noise make small negative widths."""
 SWINGS, RINGS_SHARE = 8, 0.002
 """Crossings of its bend on each branch, by so much in parts of the height, from which an output rings."""
+FINE = 8
+"""Lines of a spectrum for each that the length of a branch resolves: its peak lies between them."""
 ONE_WAY = 1.05
 """Way of the voltage on a branch, in parts of its swing, up to which no minor loop is on it."""
 SETTLED_NOISE = 3.0
@@ -232,10 +234,12 @@ def ringing(record: Record, loops: Sequence[Loop]) -> str | None:
         branches = [y[part] for part in parts if np.abs(np.diff(u[part])).sum() < ONE_WAY * np.ptp(u[part])]
         swings = [branch - _bend(branch) for branch in branches if len(branch) > SWINGS]
         least = max(CLEAR * noise_rms(y), RINGS_SHARE * largest.height_um)
-        turns = [_crossings(swing, least) for swing in swings]
-        if swings and sum(map(len, turns)) >= SWINGS * len(swings):
-            size, most = max(float(swing.std()) for swing in swings), max(turns, key=len)
-            hertz = 0.5 * (len(most) - 1) / (np.ptp(most) * record.sample_time_s)
+        turns = sum(len(_crossings(swing, least)) for swing in swings)
+        if swings and turns >= SWINGS * len(swings):
+            swing = max(swings, key=np.std)
+            size, fast, fine = float(swing.std()), np.diff(swing), FINE * len(swing)
+            lines = np.abs(np.fft.rfft(fast * np.hanning(len(fast)), fine))
+            hertz = np.argmax(lines) / (fine * record.sample_time_s)
             return (
                 f"{largest.output} and {name}: the output rings near {hertz:.3g} Hz ({size:.2g} um rms): "
                 "widths and areas include it. Use a lower frequency, or sines in place of triangles"

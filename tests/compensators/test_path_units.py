@@ -63,7 +63,7 @@ def test_a_path_far_above_the_travel_is_asked_about(tmp_path, capsys):
     assert "in um the path goes to 4e+04 um, but the model travels" in capsys.readouterr().err
     path = _write(tmp_path / "path.csv", 1.0, radius_um=150.0)  # more than it travels, less than ten times
     assert _drive(path, tmp_path / "drive.csv") == 3
-    assert "check the unit (--units): the path goes to 300 um, the travel is" in capsys.readouterr().err
+    assert "check its unit: the path goes to 300 um, slow paths reach" in capsys.readouterr().err
 
 
 def test_inches_are_inches(tmp_path):

@@ -670,3 +670,13 @@ def test_small_loops_that_turn_backwards_are_not_shown_beside_wide_ones():
     small = replace(wide, amplitude_v=2.0, width_um=-0.5 * wide.height_um)
     assert telling_loops([wide, small]) == [wide]
     assert telling_loops([small]) == [small]  # that of swapped columns is still seen
+
+
+def test_the_frequency_of_a_ring_that_decays_is_that_of_its_resonance():
+    """Most of a branch has no ring left; what remains there is the bend of hysteresis."""
+    t = 5e-5 * np.arange(4000)
+    u = 50.0 * (1.0 - 4.0 * np.abs((5.0 * t + 0.5) % 1.0 - 0.5))
+    ring = np.exp(-0.05 * 2.0 * np.pi * 180.0 * (t % 0.1)) * np.sin(2.0 * np.pi * 180.0 * (t % 0.1))
+    record = Record([u], [u + 1e-3 * u**3 / 50.0 + 3.0 * ring], 5e-5)
+    said = re.match(r"y1 and u1: the output rings near (\d+) Hz", ringing(record, loop_table(record)))
+    assert float(said[1]) == pytest.approx(180.0, rel=0.05)
