@@ -20,6 +20,8 @@ SMOOTH = 0.5
 """Third difference of the beginning of a path over the second, up to which it has an acceleration."""
 GOES_ON = 0.1
 """Second step of a path over the first, from which both are motion; a jump has none, noise may."""
+OUTSIDE = 0.02
+"""Part of the range of a path and 0 by which a lead-in may leave it before a shorter one is tried."""
 AT_REST = 1e-9
 """Start of a path, in parts of its largest position, up to which it is rounding."""
 
@@ -30,7 +32,8 @@ def lead_in(reference_um: Array, sample_time_s: float) -> Array:
     A fifth-order polynomial that ends with the velocity of the path, and with its acceleration where the path
     begins smoothly: a jump of the acceleration would ring at half the sample rate in the inverse of a
     resonance. Its acceleration stays within the largest one of the path, as far as that takes neither less
-    than 0.02 s nor more than 1 s. No sample for a path that begins where the actuator rests.
+    than 0.02 s nor more than 1 s; to a smooth path it is shorter where 0.02 s would leave the path's range.
+    No sample for a path that begins where the actuator rests.
 
     Examples
     --------
@@ -46,12 +49,25 @@ def lead_in(reference_um: Array, sample_time_s: float) -> Array:
         return np.zeros((len(start), 0))
     distance, speed = float(np.abs(start).max()), float(np.abs(velocity).max())
     asked = max(math.sqrt(PEAK * distance / bend), TURNED * speed / bend) if bend > 0.0 else LONGEST_S
-    samples = math.ceil(min(max(asked, SHORTEST_S), LONGEST_S) / sample_time_s)
-    x = np.arange(samples) / samples
+    low, high = (np.minimum(reference_um.min(axis=1), 0.0), np.maximum(reference_um.max(axis=1), 0.0))
+    found, least = np.zeros((len(start), 0)), math.inf
+    duration_s = min(max(asked, SHORTEST_S), LONGEST_S)
+    shortest_s = min(asked, LONGEST_S) if acceleration.any() else duration_s  # no resonance follows a corner
+    while least > OUTSIDE * float((high - low).max()) and duration_s >= shortest_s:
+        way = _way(start, velocity, acceleration, math.ceil(duration_s / sample_time_s), sample_time_s)
+        outside = float(np.maximum(low[:, None] - way, way - high[:, None]).max())
+        if outside < least:
+            found, least = way, outside
+        duration_s *= 0.5
+    return found
+
+
+def _way(start_um: Array, velocity: Array, acceleration: Array, samples: int, sample_time_s: float) -> Array:
+    """Fifth-order way (p, samples) from 0 at rest to a position, velocity and acceleration (p,)."""
+    x, last_s = np.arange(samples) / samples, samples * sample_time_s
     turn, bow = x**3 * (-4.0 + x * (7.0 - 3.0 * x)), 0.5 * x**3 * (1.0 - x) ** 2
-    last_s = samples * sample_time_s
     ends = np.multiply.outer(velocity, last_s * turn) + np.multiply.outer(acceleration, last_s**2 * bow)
-    return np.asarray(start[:, None] * smooth_step(x) + ends)
+    return np.asarray(start_um[:, None] * smooth_step(x) + ends)
 
 
 def _beginning(reference_um: Array, sample_time_s: float) -> tuple[Array, Array]:

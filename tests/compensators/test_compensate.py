@@ -117,6 +117,18 @@ def test_the_lead_in_ends_with_the_acceleration_of_a_smooth_path(turn):
     assert np.abs(lead_in(corner, 5e-5)).max() <= 10.0
 
 
+@pytest.mark.parametrize("hertz", [10.0, 80.0, 200.0])
+def test_a_lead_in_to_a_path_in_motion_stays_in_its_range(hertz):
+    """Its acceleration, too: with 0.02 s, that of 80 Hz went to -12 um, that of 200 Hz to -60 um."""
+    turn = 2.0 * np.pi * hertz * 5e-5 * np.arange(8000)
+    circle = np.stack([40.0 + 20.0 * np.sin(turn), 40.0 + 20.0 * np.cos(turn)])
+    way = lead_in(circle, 5e-5)
+    assert way.min() > -0.02 * 60.0
+    assert way.max() < 1.02 * 60.0
+    largest = np.abs(np.diff(circle, 2)).max()
+    assert np.abs(np.diff(np.hstack([way, circle]), 2)).max() < 1.05 * largest
+
+
 def test_partly_out_of_reach_is_refused_unless_asked_for(tmp_path, capsys):
     _circle(tmp_path / "far.csv", x=57.0, y=52.0)
     out = tmp_path / "d.csv"
