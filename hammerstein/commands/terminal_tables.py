@@ -35,6 +35,8 @@ RUN = (
     "clipped",
 )
 VALIDATION = "valid-\nation"
+SENTENCES = ("statement", "reason", "details")
+"""Columns of judgements that a terminal has no room for."""
 COMPARED = (
     *("", "model", "param-\neters", "fitted", "cross-\nvalid.", VALIDATION, "in-\nverse"),
     *("comp.\nerror", "fit\ns", "step\nns"),
@@ -103,8 +105,9 @@ def actuator_table(models: Iterable[HammersteinModel]) -> Table:
 
 
 def judgement_table(title: str, judgements: Sequence[Judgement]) -> Table:
-    """One line per judgement."""
-    cells = [judgement.cells() for judgement in judgements]
+    """One line per judgement; sentences are left to the page, which has room for them."""
+    each = [judgement.cells() for judgement in judgements]
+    cells = [{name: words for name, words in row.items() if name not in SENTENCES} for row in each]
     return _table(title, list(cells[0]), (row.values() for row in cells))
 
 

@@ -276,12 +276,28 @@ SOFTENED = (0.002, 0.005, 0.01, 0.02, 0.05)
 """Softenings that are tried, in parts of the range."""
 
 
+OFFSET = "--offset"
+
+
+def _offset(offset_um: Iterable[float]) -> str:
+    return f"{OFFSET}={','.join(f'{value:g}' for value in offset_um)}"
+
+
+def kept_options(offset_um: Sequence[float] | None, compensator: Compensator) -> str:
+    """Offset, softening and filter of a command, in its words."""
+    words = [] if offset_um is None else [_offset(offset_um)]
+    for name in ("softening_v", "filter_hz"):
+        if value := getattr(compensator, name, None):
+            words.append(f"--{name.replace('_', '-')} {value:g}")
+    return " ".join(words)
+
+
 @dataclass(frozen=True, eq=False)
 class Missed(ABC):
     """A path that is out of reach, and the start of the search for remedies.
 
     own_um : (p,) error of the model itself; smaller deviations do not count
-    moved : whether the path already has an offset
+    kept : options of the command that every remedy keeps, see ``kept_options``
     """
 
     model: HammersteinModel
@@ -290,7 +306,7 @@ class Missed(ABC):
     path_um: Array
     own_um: Array
     reach: Reach
-    moved: bool
+    kept: str
 
     LEADS_IN: ClassVar[str] = ""
     """Option that an offset path needs."""
@@ -321,7 +337,8 @@ class Missed(ABC):
     def statement(self) -> str:
         """Limit, excess and place; remedies; and, where none helps completely, the reach."""
         found = self.remedies()
-        listed = ", ".join(f"{option} ({length(error, 2)} um)" for error, option in found)
+        each = ((error, f"{option} {self.kept}".strip()) for error, option in found)
+        listed = ", ".join(f"{option} ({length(error, 2)} um)" for error, option in each)
         alone = self._doubt() or ("" if len(found) > 1 else "; or use a smaller or slower path")
         told = f"{self._limits_hit()}\nRemedies, with the remaining error: {listed}{alone}."
         if found[0][0] <= self.own_um.max():
@@ -354,11 +371,10 @@ class Missed(ABC):
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)
         )
-        if self.moved or not np.isfinite(middle).all():
+        if OFFSET in self.kept or not np.isfinite(middle).all():
             return []
         offset = np.array([float(f"{share * value:.3g}") for value in middle])
-        words = f"{self.LEADS_IN} --offset={','.join(f'{value:g}' for value in offset)}"
-        return [(self.path_um + offset[:, None], words.strip())]
+        return [(self.path_um + offset[:, None], f"{self.LEADS_IN} {_offset(offset)}".strip())]
 
     def _moved(self) -> Iterator[tuple[float, str]]:
         """The path moved towards the middle of what can be reached, as little as brings it within reach."""

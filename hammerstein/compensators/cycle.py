@@ -16,6 +16,7 @@ from hammerstein.compensators.attempt import (
     Missed,
     compensator_of,
     drive_within,
+    kept_options,
     model_statement,
     sensorless_law,
     stated_error_um,
@@ -52,6 +53,8 @@ RUN_UP_S = 0.25
 SETTLED = 1e-6  # of the range: what two periods may differ by
 PLAYED_PERIODS = 10
 """Number of the period with the settled error: hysteresis settles in one, resonances of Q = 100 in ten."""
+OPEN = 3.0
+"""Step from the last to the first row of a period over its largest other step, from which it is open."""
 CENTRING_ROUNDS = 20
 """Largest number of steps to centre a drive; each moves it or halves the step."""
 TABLE_UNIT = "table"
@@ -204,7 +207,8 @@ class Design:
             reachable = reach(self.model, self.limits, run_anyway=True)
             least = np.zeros(len(missed)) if own is None else own
             given = (self.model, self.limits, self.compensator, self.reference_um, least, reachable)
-            told = MissedPeriod(*given, terms.offset_um is not None, cycle, at_range).statement()
+            kept = kept_options(terms.offset_um, self.compensator)
+            told = MissedPeriod(*given, kept, cycle, at_range).statement()
             raise SimulationError(f"{self.path}: out of reach: {told}")
         return cycle
 
@@ -301,9 +305,17 @@ class MissedPeriod(Missed):
     def _limits_hit(self) -> str:
         hit = HELD.format(self.at_range, self.path_um.shape[1], self.limits.words(self.model.inputs))
         missed = zip(self.model.outputs, np.abs(self.found.error_um).max(axis=1).tolist(), strict=True)
-        return (
-            f"{hit}; the error is up to {', '.join(f'{length(um, 2)} um on {name}' for name, um in missed)}."
-        )
+        told = ", ".join(f"{length(um, 2)} um on {name}" for name, um in missed)
+        return f"{hit}; the error is up to {told}{self._gap()}."
+
+    def _gap(self) -> str:
+        """Name the jump of a period whose first row does not follow the last one."""
+        jumps = np.abs(self.path_um[:, 0] - self.path_um[:, -1])
+        worst = int(np.argmax(jumps))
+        if not (jumps > OPEN * np.abs(np.diff(self.path_um, axis=1)).max(axis=1))[worst]:
+            return ""
+        name = self.model.outputs[worst]
+        return f"; the period does not close, {name} jumps by {jumps[worst]:.3g} um: give one whole period"
 
     def _attempt(self, compensator: Compensator, path_um: Array) -> tuple[float, bool]:
         try:

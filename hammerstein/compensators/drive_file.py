@@ -19,6 +19,7 @@ from hammerstein.compensators.attempt import (
     MissedPath,
     Prediction,
     compensator_of,
+    kept_options,
     stated_error_um,
 )
 from hammerstein.compensators.path_file import (
@@ -146,7 +147,7 @@ class Compensation(Attempt):
         if self.held:
             said.append(self._held())
         elif not self.shortfall.complete:
-            said.append(self.shortfall.statement(self.model.inputs, self.model.outputs))
+            said.append(self.shortfall.statement(self.model.inputs, self.model.outputs, self.lead))
         said += [*self._amplified, *self._stepping, *filter(None, [beyond_records(self.model, self.drive_v)])]
         if self.resampled:
             said.append(self.resampled)
@@ -331,9 +332,8 @@ def compensation_of(
     held = found.within_error(model, limits, compensator, own)
     reachable = reach(model, limits, run_anyway=True)
     if not (terms.clip or held or found.complete):
-        missed = MissedPath(
-            model, limits, compensator, path, own, reachable, terms.offset_um is not None, found
-        )
+        kept = kept_options(terms.offset_um, compensator)
+        missed = MissedPath(model, limits, compensator, path, own, reachable, kept, found)
         raise SimulationError(f"out of reach: {missed.statement()}")
     if not terms.beyond_records:
         refuse_beyond(model, found.drive_v)

@@ -178,8 +178,11 @@ class Shortfall:
         """True if the drive is never at its limit."""
         return not self.at_range.any()
 
-    def statement(self, inputs: Sequence[str], outputs: Sequence[str]) -> str:
-        """Samples of each input at its limit, and largest error of each output, in words."""
+    def statement(self, inputs: Sequence[str], outputs: Sequence[str], lead: int = 0) -> str:
+        """Samples of each input at its limit, and largest error of each output, in words.
+
+        lead : samples before the path, which do not belong to its time
+        """
         if self.complete:
             worst = ", ".join(f"{n} {e:.3g}" for n, e in zip(outputs, self._worst(), strict=True))
             return f"The drive stays within its range; predicted errors up to {worst} um."
@@ -190,14 +193,18 @@ class Shortfall:
                 end, volts = ("lower", self.limits.low_v) if self.at_low[k] else ("upper", self.limits.high_v)
                 parts.append(
                     f"input {name} is at its {end} limit, {volts[k]:.6g} V, in {int(row.sum())} of "
-                    f"{len(row)} samples, first at sample {first} ({first * self.sample_time_s:.4g} s)"
+                    f"{len(row)} samples, first {self._when(first, lead)}"
                 )
         for name, row, worst_um in zip(outputs, self.error_um, self._worst(), strict=True):
             if worst_um > MISSED_SHARE * max(self._worst()):
-                where = int(np.argmax(np.abs(row)))
-                parts.append(f"output {name} has an error of up to {worst_um:.4g} um (sample {where})")
+                when = self._when(int(np.argmax(np.abs(row))), lead)
+                parts.append(f"output {name} has an error of up to {worst_um:.4g} um {when}")
         axis, sample = self.turn
-        return f"{'; '.join(parts)}. The largest acceleration is at sample {sample} of {outputs[axis]}."
+        when = self._when(sample, lead)
+        return f"{'; '.join(parts)}. The largest acceleration is {when} on {outputs[axis]}."
+
+    def _when(self, sample: int, lead: int) -> str:
+        return "in the lead-in" if sample < lead else f"at {(sample - lead) * self.sample_time_s:.4g} s"
 
     def _worst(self) -> list[float]:
         return [float(e) for e in np.abs(self.error_um).max(axis=1)]

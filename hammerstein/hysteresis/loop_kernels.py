@@ -151,46 +151,37 @@ def _(own, i, z, now, w):  # type: ignore[no-untyped-def]
         _add(own.plays.v, now, w)
 
 
-class Staircases(NamedTuple):
-    """Preisach planes, see ``respond_preisach``; v : (q, 1), overwritten."""
+class Whole(NamedTuple):
+    """Numbers of a kind as its own kernel takes them; v : (q, 1), overwritten."""
 
     numbers: Any
     v: Any
 
 
-@adds(Staircases)
-def _(own, i, z, now, w):  # type: ignore[no-untyped-def]
-    if _complete(i, z, now, w):
-        respond_preisach(z, *own.numbers, 0, 1, own.v)
-        _add(own.v, now, w)
+class Staircases(Whole):
+    """Preisach planes, see ``respond_preisach``."""
 
 
-class Rates(NamedTuple):
-    """Plays that grow with the rate, see ``respond_rate_dependent``; v : (q, 1), overwritten."""
-
-    numbers: Any
-    v: Any
+class Rates(Whole):
+    """Plays that grow with the rate, see ``respond_rate_dependent``."""
 
 
-@adds(Rates)
-def _(own, i, z, now, w):  # type: ignore[no-untyped-def]
-    if _complete(i, z, now, w):
-        respond_rate_dependent(z, *own.numbers, 0, 1, own.v)
-        _add(own.v, now, w)
+class Lags(Whole):
+    """Bouc-Wen hysteresis, see ``respond_bouc_wen``."""
 
 
-class Lags(NamedTuple):
-    """Bouc-Wen hysteresis, see ``respond_bouc_wen``; v : (q, 1), overwritten."""
+def _by(respond: Loop) -> Loop:
+    def add(own, i, z, now, w):  # type: ignore[no-untyped-def]
+        if _complete(i, z, now, w):
+            respond(z, *own.numbers, 0, 1, own.v)
+            _add(own.v, now, w)
 
-    numbers: Any
-    v: Any
+    return add
 
 
-@adds(Lags)
-def _(own, i, z, now, w):  # type: ignore[no-untyped-def]
-    if _complete(i, z, now, w):
-        respond_bouc_wen(z, *own.numbers, 0, 1, own.v)
-        _add(own.v, now, w)
+adds(Staircases)(_by(respond_preisach))
+adds(Rates)(_by(respond_rate_dependent))
+adds(Lags)(_by(respond_bouc_wen))
 
 
 class Sum(NamedTuple):

@@ -356,7 +356,7 @@ def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_u
     within = reach(model, list(zip(limits.low_v, limits.high_v, strict=True)))
     here, away = (
         MissedPath(
-            model, limits, None, path + np.reshape(by, (2, 1)), np.zeros(2), within, False, None
+            model, limits, None, path + np.reshape(by, (2, 1)), np.zeros(2), within, "", None
         )._towards_the_middle()[0][0]
         for by in ([0.0, 0.0], away_um)
     )
@@ -370,7 +370,7 @@ def test_a_lead_in_is_named_where_a_path_begins_elsewhere_and_nothing_leads_in(f
     model = HammersteinModel.load("duo_bimorph_static")
     limits, found = allowed_range(model, Terms()), SimpleNamespace(lead=led)
     path = np.array([[first_um], [0.0]]) + np.array([[1.0], [-0.3]]) * smooth_step(np.arange(800) / 700.0)
-    missed = MissedPath(model, limits, None, path, np.zeros(2), None, False, found)
+    missed = MissedPath(model, limits, None, path, np.zeros(2), None, "", found)
     assert missed.prefix == ("--lead-in" if first_um else "")
     assert missed.given == ("--lead-in" if led else "")
 
@@ -447,6 +447,28 @@ def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsy
     assert errors == sorted(errors)
     for options, error_um in named:
         assert _call("compensate", "stage.json", path, *options.split(), "--overwrite", "--json") == 0
+        expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
+        assert expected["path_max_um"] == pytest.approx(float(error_um), rel=0.06)
+
+
+@pytest.mark.parametrize("options", [("--filter-hz", "3000"), ("--offset=3", "--softening-v", "0.5")])
+def test_remedies_keep_the_options_of_the_command(tmp_path, capsys, monkeypatch, options):
+    """As they are printed, they leave the error that is named."""
+    from hammerstein.dynamics import AxesDynamics, Axis
+
+    monkeypatch.chdir(tmp_path)
+    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
+    dataclasses.replace(_stage(tmp_path), dynamics=axes).save(tmp_path / "stage.json")
+    lines = np.abs((np.arange(2000) * T * 40.0 + 0.5) % 1.0 - 0.5)
+    law = ("--law", "exact_inverse") if "--softening-v" in options else ()
+    path = _path(tmp_path, 5.0 + 200.0 * lines)
+    assert _call("compensate", "stage.json", path, "--lead-in", *law, *options) == 3
+    named = re.findall(r"((?:--\S+(?: \d\S*)? )+)\((\S+) um\)", capsys.readouterr().err)
+    assert named
+    for words, error_um in named:
+        assert "--lead-in" in words
+        assert options[0] in words
+        assert _call("compensate", "stage.json", path, *law, *words.split(), "--overwrite", "--json") == 0
         expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
         assert expected["path_max_um"] == pytest.approx(float(error_um), rel=0.06)
 

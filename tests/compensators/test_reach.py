@@ -127,10 +127,21 @@ def test_shortfall_names_samples_and_axes():
     assert (np.abs(found.error_um).max(axis=1) > 1e-6).tolist() == [True, False]
     first, number = int(np.argmax(found.at_range[0])), int(found.at_range[0].sum())
     assert (
-        f"u is at its upper limit, 10 V, in {number} of 800 samples, first at sample {first} "
+        f"u is at its upper limit, 10 V, in {number} of 800 samples, first at {first * T:.4g} s; "
         in found.statement(*NAMES)
     ) == (2 * (drive[0] >= 10.0).sum() >= number)
     assert "output x has an error of up to" in found.statement(*NAMES)
+
+
+def test_times_count_from_the_path_and_not_from_its_lead_in():
+    model, law = _table(), ExactInverseLaw(_table(), 10.0)
+    path = np.stack([np.r_[np.linspace(0.0, 80.0, 100), np.full(100, 20.0)], np.zeros(200)])
+    found = shortfall(model, law, path, law.drive_for(path), T)
+    first = int(np.argmax(found.at_range[0]))
+    assert f"first at {first * T:.4g} s" in found.statement(*NAMES)
+    assert f"first at {10 * T:.4g} s" in found.statement(*NAMES, lead=first - 10)
+    assert "first in the lead-in" in (said := found.statement(*NAMES, lead=120))
+    assert "um in the lead-in" in said
 
 
 def test_a_path_within_reach_passes():
@@ -150,4 +161,4 @@ def test_a_jump_is_pointed_out():
     path = np.zeros((2, 600))
     path[1, 300:] = 10.0
     found = shortfall(model, law, path, law.drive_for(path), T)
-    assert re.search(r"largest acceleration is at sample (299|300) of y\.", found.statement(*NAMES))
+    assert re.search(r"largest acceleration is at 0.01(495|5) s on y\.", found.statement(*NAMES))

@@ -164,6 +164,18 @@ def test_a_replay_reproduces_the_stated_error(tmp_path, capsys, options, separat
     assert np.abs(first - last).max() < 0.02 * scale[0] * np.ptp(table)  # both in the numbers of the table
 
 
+def test_a_period_that_does_not_close_is_named(tmp_path, capsys):
+    """Three quarters of a circle as a period: what is out of reach is its jump."""
+    turn = 1.5 * np.pi * np.arange(3000) / 3000
+    rows = np.stack([T * np.arange(3000), 50.0 * np.cos(turn), 50.0 * np.sin(turn)], axis=1)
+    pd.DataFrame(rows, columns=["time_s", "x", "y"]).to_csv(tmp_path / "open.csv", index=False)
+    asked = ("compensate", "duo_bimorph", tmp_path / "open.csv", "--cycle", "--out", tmp_path / "drive.csv")
+    assert _call(*asked) == 3
+    assert re.search(
+        r"the period does not close, [xy] jumps by (49|50).* um: give one whole", capsys.readouterr().err
+    )
+
+
 def test_points_are_placed_for_the_least_played_error(tmp_path):
     """Better than holding every fourth voltage, or the mean of four; no small change improves it."""
     cycle = cycle_of("duo_bimorph", _path(tmp_path, 4000), "hammerstein_inverse", {})
