@@ -283,13 +283,15 @@ def _offset(offset_um: Iterable[float]) -> str:
     return f"{OFFSET}={','.join(f'{value:g}' for value in offset_um)}"
 
 
-def kept_options(offset_um: Sequence[float] | None, compensator: Compensator) -> str:
+def _option(name: str, value: float) -> str:
+    return f"--{name.replace('_', '-')} {value:g}"
+
+
+def kept_options(offset_um: Sequence[float] | None, compensator: Compensator) -> tuple[str, ...]:
     """Offset, softening and filter of a command, in its words."""
-    words = [] if offset_um is None else [_offset(offset_um)]
-    for name in ("softening_v", "filter_hz"):
-        if value := getattr(compensator, name, None):
-            words.append(f"--{name.replace('_', '-')} {value:g}")
-    return " ".join(words)
+    smooths = {name: getattr(compensator, name, None) for name in ("softening_v", "filter_hz")}
+    moved = () if offset_um is None else (_offset(offset_um),)
+    return (*moved, *(_option(name, value) for name, value in smooths.items() if value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +299,7 @@ class Missed(ABC):
     """A path that is out of reach, and the start of the search for remedies.
 
     own_um : (p,) error of the model itself; smaller deviations do not count
-    kept : options of the command that every remedy keeps, see ``kept_options``
+    kept : options of the command, see ``kept_options``; a remedy keeps those that it does not replace
     """
 
     model: HammersteinModel
@@ -306,7 +308,7 @@ class Missed(ABC):
     path_um: Array
     own_um: Array
     reach: Reach
-    kept: str
+    kept: tuple[str, ...]
 
     LEADS_IN: ClassVar[str] = ""
     """Option that an offset path needs."""
@@ -337,14 +339,17 @@ class Missed(ABC):
     def statement(self) -> str:
         """Limit, excess and place; remedies; and, where none helps completely, the reach."""
         found = self.remedies()
-        each = ((error, f"{option} {self.kept}".strip()) for error, option in found)
-        listed = ", ".join(f"{option} ({length(error, 2)} um)" for error, option in each)
+        listed = ", ".join(f"{self._whole(option)} ({length(error, 2)} um)" for error, option in found)
         alone = self._doubt() or ("" if len(found) > 1 else "; or use a smaller or slower path")
         told = f"{self._limits_hit()}\nRemedies, with the remaining error: {listed}{alone}."
         if found[0][0] <= self.own_um.max():
             return told
         within = self.limits.words(self.model.inputs)
         return f"{told}\n{self.reach.statement(self.model.outputs)} Range: {within} (--range)."
+
+    def _whole(self, remedy: str) -> str:
+        """Return a remedy with the options of the command that it keeps."""
+        return " ".join([remedy, *(one for one in self.kept if one.split()[0] not in remedy.split())])
 
     def _doubt(self) -> str:
         """Doubt the unit of a path that goes farther than every slow path can."""
@@ -371,7 +376,7 @@ class Missed(ABC):
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)
         )
-        if OFFSET in self.kept or not np.isfinite(middle).all():
+        if any(one.startswith(OFFSET) for one in self.kept) or not np.isfinite(middle).all():
             return []
         offset = np.array([float(f"{share * value:.3g}") for value in middle])
         return [(self.path_um + offset[:, None], f"{self.LEADS_IN} {_offset(offset)}".strip())]
@@ -385,24 +390,24 @@ class Missed(ABC):
                 return
 
     def _softened(self) -> Iterator[tuple[float, str]]:
-        """The least softening with which the path is within reach."""
-        span = float(self.limits.span_v.max())
-        if getattr(self.compensator, "softening_v", None) != 0.0 or not np.isfinite(span):
-            return
-        yield from self._first(self.path_um, self.prefix, "softening_v", (part * span for part in SOFTENED))
+        """The least softening, above that of the command, with which the path is within reach."""
+        span, present = float(self.limits.span_v.max()), getattr(self.compensator, "softening_v", np.inf)
+        if np.isfinite(span):
+            more = (part * span for part in SOFTENED if part * span > present)
+            yield from self._first(self.path_um, self.prefix, "softening_v", more)
 
     def _filtered(self, path_um: Array, prefix: str) -> Iterator[tuple[float, str]]:
-        """The highest bandwidth of the reference filter with which a path is within reach.
+        """The highest bandwidth of the reference filter, below the command's, that is within reach.
 
         prefix : options that the path needs beside it
         """
-        if not hasattr(self.compensator, "filter_hz") or self.compensator.filter_hz is not None:
+        if not hasattr(self.compensator, "filter_hz"):
             return
         nyquist = 0.5 / self.model.instruments.drive.sample_time_s
         lowest = max(4.0 * nyquist / path_um.shape[1], nyquist / FILTER_DECADES)
-        yield from self._first(
-            path_um, prefix, "filter_hz", np.geomspace(0.75 * nyquist, lowest, FILTER_TRIALS)
-        )
+        highest = 0.75 * min(self.compensator.filter_hz or nyquist, nyquist)
+        if highest > lowest:
+            yield from self._first(path_um, prefix, "filter_hz", np.geomspace(highest, lowest, FILTER_TRIALS))
 
     def _first(
         self, path_um: Array, prefix: str, option: str, values: Iterable[float]
@@ -412,7 +417,7 @@ class Missed(ABC):
             tried = self.compensator.model_copy(update={option: value})
             left, within = self._attempt(tried, path_um)
             if within:
-                yield left, f"{prefix} --{option.replace('_', '-')} {value:g}".strip()
+                yield left, f"{prefix} {_option(option, value)}".strip()
                 return
 
 

@@ -467,10 +467,29 @@ def test_remedies_keep_the_options_of_the_command(tmp_path, capsys, monkeypatch,
     assert named
     for words, error_um in named:
         assert "--lead-in" in words
-        assert options[0] in words
+        assert words.count(options[0]) == 1
         assert _call("compensate", "stage.json", path, *law, *words.split(), "--overwrite", "--json") == 0
         expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
         assert expected["path_max_um"] == pytest.approx(float(error_um), rel=0.06)
+
+
+def test_a_lower_bandwidth_than_that_of_the_command_is_tried(tmp_path, capsys, monkeypatch):
+    """It replaces the filter of the command, and leaves the error that is named."""
+    from hammerstein.dynamics import AxesDynamics, Axis
+
+    monkeypatch.chdir(tmp_path)
+    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
+    dataclasses.replace(_stage(tmp_path), dynamics=axes).save(tmp_path / "stage.json")
+    lines = np.abs((np.arange(4000) * T * 160.0 + 0.5) % 1.0 - 0.5)
+    path = _path(tmp_path, 5.0 + 80.0 * lines)
+    assert _call("compensate", "stage.json", path, "--lead-in", "--filter-hz", "3000") == 3
+    told = capsys.readouterr().err
+    helps = re.search(r"Remedies.*?: --lead-in --filter-hz (\d+) \((\S+) um\)", told)
+    assert helps and float(helps[1]) < 3000.0, told
+    command = ("compensate", "stage.json", path, "--lead-in", "--filter-hz", helps[1], "--json")
+    assert _call(*command) == 0
+    expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
+    assert expected["path_max_um"] == pytest.approx(float(helps[2]), rel=0.06)
 
 
 def test_what_is_expected_names_every_contribution_and_their_rms(tmp_path, capsys, monkeypatch):
