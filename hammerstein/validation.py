@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, cast
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
@@ -336,6 +336,10 @@ class Strict(BaseModel, metaclass=_InPython):
     """A frozen value that refuses keys that it does not know."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    def changed(self, **changes: Any) -> Self:
+        """Return the same with other values of some fields, validated, unlike ``model_copy``."""
+        return type(self)(**({name: getattr(self, name) for name in type(self).model_fields} | changes))
 
 
 class WithInfinity(Strict):

@@ -4,6 +4,8 @@ import io
 import json
 import os
 import sys
+from collections.abc import Callable, Collection
+from functools import wraps
 from typing import Annotated, Any
 
 import typer
@@ -16,7 +18,7 @@ from hammerstein.commands import (
     study as study_commands,
     terminal,
 )
-from hammerstein.commands.options import AsJson
+from hammerstein.commands.options import AsJson, grouped
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.errors import SimulationError
 from hammerstein.runtime.resources import keep_freed_memory
@@ -45,16 +47,6 @@ def refuse_small_limit() -> None:
         )
 
 
-app = typer.Typer(
-    name="hammerstein",
-    help="Simulate, identify and compensate multi-axis actuators with hysteresis.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
 COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
 USAGE: Any = typer.BadParameter.__base__
 """Errors of a wrong command line; Typer takes them from click, or has click inside."""
@@ -70,7 +62,6 @@ def _say_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _before(
     context: typer.Context,
     version: Annotated[
@@ -85,8 +76,30 @@ def _before(
     refuse_small_limit()
 
 
-def _register() -> None:
-    """Register every command with an example, in the order of a person's work."""
+def _named(command: Callable[..., None]) -> Callable[..., None]:
+    """Name and help of a command that is not called; to make its options would take longer than all else."""
+
+    @wraps(command, assigned=("__name__", "__doc__"))
+    def alone() -> None: ...
+
+    del alone.__wrapped__  # its options
+    return alone
+
+
+def built(words: Collection[str] | None = None) -> typer.Typer:
+    """Every command with an example, in the order of a person's work.
+
+    words : of a command line; only commands among them get their options
+    """
+    app = typer.Typer(
+        name="hammerstein",
+        help="Simulate, identify and compensate multi-axis actuators with hysteresis.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        callback=_before,
+    )
     records = f"record_x.csv record_y.csv {COLUMNS}"
     for command, example in (
         (start.init, "init my_stage"),
@@ -106,8 +119,17 @@ def _register() -> None:
         (actuators, "actuators"),
         (schema, "schema > scenario.schema.json"),
     ):
+        wanted = words is None or command.__name__ in words
         # \b: not to be broken into several lines
-        app.command(epilog=f"\b\nExample: hammerstein {example}")(command)
+        app.command(epilog=f"\b\nExample: hammerstein {example}")((grouped if wanted else _named)(command))
+    return app
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """The application ``app`` with all its options, where somebody asks for it."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return built()
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -125,7 +147,8 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
     code: int | str | None = 0
     try:
         try:
-            code = app(arguments, standalone_mode=False) or 0
+            words = sys.argv[1:] if arguments is None else arguments
+            code = built(words)(arguments, standalone_mode=False) or 0
         except SystemExit as end:
             code = end.code
         except USAGE as mistake:
@@ -169,6 +192,3 @@ def actuators(as_json: AsJson = False) -> None:
         tell_json([json.loads(model.to_json()) for model in models])
     else:
         show(actuator_table(models))
-
-
-_register()

@@ -16,7 +16,6 @@ import typer
 from hammerstein.commands.options import (
     AsJson,
     Overwrite,
-    grouped,
     refuse_output,
     told_by_options,
     write_output,
@@ -297,7 +296,6 @@ class Trials:
         return learn_from_files(*asked, self.learn, known, terms, onlooker, self.before)
 
 
-@grouped
 def compensate(
     *,
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
@@ -420,7 +418,6 @@ def play(
 FORMATS = ("c", "fmu")
 
 
-@grouped
 def export(
     *,
     model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from functools import wraps
 from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, get_args, get_type_hints
 
 import typer
 from typer.models import ArgumentInfo
@@ -18,6 +18,8 @@ from hammerstein.commands.terminal import tell_kept
 from hammerstein.errors import InputError
 
 if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
     from hammerstein.runtime.manifest import Owner
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, also edited ones.")]
@@ -33,6 +35,8 @@ _OPTIONS = {
     "sensor_delay_s": "sensor-delay",
     "thresholds_v": "thresholds",
 }
+METAVARS = {"_hz": "HZ", "_s": "SECONDS", "_v": "V[,V]"}
+"""Value of an option in the help, by the unit of its field."""
 
 
 def refuse_output(out: Path, inputs: list[Path], owner: Owner, overwrite: bool) -> None:
@@ -68,7 +72,7 @@ def told_by_options(source: str, own: Collection[str] = ()) -> Iterator[None]:
         raise InputError("options", named) from None
 
 
-def _option_of(where: str, own: Collection[str]) -> str:
+def _option_of(where: str, own: Collection[str] = ()) -> str:
     """Option that gave a setting; nothing where the mistake is of them together."""
     name = where.partition("[")[0]
     if name.partition(".")[0] in own:
@@ -77,7 +81,7 @@ def _option_of(where: str, own: Collection[str]) -> str:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with an option for each field of its dataclass parameters.
+    """Return a command with an option for each field of its parameters that are dataclasses or models.
 
     >>> from dataclasses import dataclass
     >>> @dataclass
@@ -94,15 +98,16 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     """
     flat, groups = list[Parameter](), dict[str, Any]()
     for one in _options(command):
-        if is_dataclass(one.annotation):
+        if is_dataclass(one.annotation) or hasattr(one.annotation, "model_fields"):
             groups[one.name] = one.annotation
         flat += _options(groups[one.name]) if one.name in groups else [one]
 
     @wraps(command)
     def run(**options: Any) -> None:
         for name, group in groups.items():
-            held = {field.name: options.pop(field.name) for field in fields(group) if field.name in options}
-            options[name] = group(**held)
+            held = {one.name: options.pop(one.name) for one in _options(group) if one.name in options}
+            with told_by_options(group.__name__):
+                options[name] = group(**held)
         command(**options)
 
     run.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
@@ -117,20 +122,41 @@ def words_of(group: Any) -> list[str]:
     >>> words_of(RecordFiles(["a.csv", "b.csv"], rate=5e3, accept_gain=True))
     ['a.csv', 'b.csv', '--rate', '5000', '--accept-gain']
     """
-    hints, words = get_type_hints(type(group), include_extras=True), list[str]()
-    for field in fields(group):
-        value, (info, *_) = getattr(group, field.name), hints[field.name].__metadata__
+    words = list[str]()
+    for option in _options(type(group)):
+        value, (info, *_) = getattr(group, option.name), option.annotation.__metadata__
         values = value if isinstance(value, list | tuple) else [value]
+        plain = [str(one).removesuffix(".0") if isinstance(one, float) else str(one) for one in values]
+        plain = [",".join(plain)] if isinstance(value, tuple) else plain
         if isinstance(info, ArgumentInfo):
-            words += map(str, values)
-        elif value != field.default:
-            name = (info.param_decls or [f"--{field.name.replace('_', '-')}"])[0]
-            plain = [str(one).removesuffix(".0") if isinstance(one, float) else str(one) for one in values]
+            words += plain
+        elif value != option.default:
+            name = _option_of(option.name)
             words += [name] if value is True else [word for one in plain for word in (name, one)]
     return words
 
 
+def _option(name: str, field: FieldInfo) -> Parameter:
+    """Field of a model as an option; numbers or words are told apart by its validation."""
+    told = str(field.description)
+    unit = next((unit for ending, unit in METAVARS.items() if name.endswith(ending)), None)
+    members = {getattr(one, "__origin__", one) for one in get_args(field.annotation) or (field.annotation,)}
+    kind = next((one for one in (bool, int, float) if members <= {one, type(None)}), str)
+    info = typer.Option(_option_of(name), metavar=unit, help=f"{told[0].upper()}{told[1:]}.")
+    wanted = kind | None if field.default is None else kind
+    annotation = Annotated[wanted, info]  # type: ignore[valid-type]
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
+
+
 def _options(taker: Callable[..., Any]) -> list[Parameter]:
     """Parameters of a command, or fields of a group, as options."""
-    hints, each = get_type_hints(taker, include_extras=True), inspect.signature(taker).parameters.values()
+    if hasattr(taker, "model_fields"):
+        return [_option(name, field) for name, field in taker.model_fields.items()]
+    try:
+        hints = get_type_hints(taker, include_extras=True)
+    except NameError:  # a model of options, which a command that is not called does not import
+        from hammerstein.identification import options
+
+        hints = get_type_hints(taker, localns=vars(options), include_extras=True)
+    each = inspect.signature(taker).parameters.values()
     return [one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[one.name]) for one in each]

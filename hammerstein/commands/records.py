@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS
-from hammerstein.commands.options import AsJson, Overwrite, grouped, refuse_output, told_by_options, words_of
+from hammerstein.commands.options import AsJson, Overwrite, refuse_output, told_by_options, words_of
 from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.errors import InputError
 from hammerstein.escaping import one_line
@@ -21,11 +21,13 @@ from hammerstein.escaping import one_line
 if TYPE_CHECKING:
     from hammerstein.identification.fit import Fit
     from hammerstein.identification.in_loop.identify import LoopSettings
+    from hammerstein.identification.options import CascadeOptions, KindOptions
     from hammerstein.identification.settings import Settings
     from hammerstein.model import HammersteinModel
     from hammerstein.records.gains import Gain
     from hammerstein.records.loops import Loop
     from hammerstein.records.record import Record
+    from hammerstein.validation import Strict
 
 MOST_NAMED = 3
 """Most records in the name of a folder."""
@@ -198,18 +200,6 @@ class Validation:
             )
 
 
-@dataclass(frozen=True)
-class StaticBlock:
-    """Kind of the static block."""
-
-    hysteresis: Annotated[
-        str, typer.Option(help="Hysteresis: prandtl_ishlinskii, asymmetric, generalised and others.")
-    ] = "prandtl_ishlinskii"
-    dead_zones: Annotated[
-        int | None, typer.Option(help="Dead-zones of each input, with asymmetric; default: searched.")
-    ] = None
-
-
 OF_THE_LOOP = ("--order", "--accept-order", "--sensor-bandwidth", "--sensor-delay")
 """Options of a cascade that the search for hysteresis in the loop uses, too."""
 
@@ -235,74 +225,22 @@ class InLoop:
         if self.hysteresis_in_loop and unused:
             raise InputError("--hysteresis-in-loop", f"does not use {', '.join(unused)}; remove it")
 
-    def settings(self, identified: Identified, **static: Any) -> tuple[Settings, LoopSettings | None]:
+    def settings(self, *asked: Strict) -> tuple[Settings, LoopSettings | None]:
         """Settings of cascades, and those of its search; None if not requested."""
+        from hammerstein.identification.settings import Settings
+
+        given = {name: value for options in asked for name, value in options.model_dump().items()}
+        order = given["order"]
+        if self.hysteresis_in_loop and given["dynamics"] != "state_space":
+            given["order"] = None
+        with told_by_options("Settings"):
+            cascade = Settings(**given)
+        if not self.hysteresis_in_loop:
+            return cascade, None
         from hammerstein.identification.in_loop.identify import LoopSettings
 
-        if not self.hysteresis_in_loop:
-            return identified.settings(**static), None
-        order = identified.order if identified.dynamics == "state_space" else None
-        cascade = identified.settings(**static, order=order)
-        known = identified.sensor_bandwidth, identified.sensor_delay, identified.accept_order
-        with told_by_options("identification"):
-            return cascade, LoopSettings(identified.order, self.minutes, *known)
-
-
-@dataclass(frozen=True)
-class Identified:
-    """Options of the identification, named like the fields of the settings."""
-
-    operators: Annotated[str, typer.Option(help="Thresholds of each pair; auto: by cross-validation.")] = (
-        "auto"
-    )
-    partition: Annotated[
-        str,
-        typer.Option(
-            help="Thresholds: uniform in time or voltage, fitted, or auto: fitted if this lowers the error."
-        ),
-    ] = "auto"
-    thresholds: Annotated[
-        str | None, typer.Option(metavar="V[,V]", help="Your own thresholds in V, for all pairs.")
-    ] = None
-    solver: Annotated[
-        str, typer.Option(help="Weights: invertible, least_squares, nonnegative or closed_form.")
-    ] = "invertible"
-    ridge: Annotated[float, typer.Option(help="Ridge penalty of the weights; 0: none.")] = 0.0
-    dynamics: Annotated[
-        str, typer.Option(help="none, lag, second_order, state_space, or auto: lowest error.")
-    ] = "auto"
-    order: Annotated[int | None, typer.Option(help="Order of a state-space model; default: searched.")] = None
-    creep_modes: Annotated[
-        str, typer.Option(help="Slow modes of each axis; auto: up to 3, each if it lowers the error.")
-    ] = "auto"
-    delay_samples: Annotated[int | None, typer.Option(help="Delay of the outputs; default: estimated.")] = (
-        None
-    )
-    start: Annotated[
-        str,
-        typer.Option(
-            metavar="WORD",
-            help="State in which each record begins: auto, rest (never driven), or repeated (as it ends).",
-        ),
-    ] = "auto"
-    sensor_bandwidth: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Bandwidth of the sensor, from its data sheet.")
-    ] = None
-    sensor_delay: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Known delay of the sensor; excluded from the model.")
-    ] = 0.0
-
-    accept_order: AcceptOrder = False
-
-    def settings(self, **more: Any) -> Settings:
-        """Settings, with additional ones of a single command."""
-        from hammerstein.identification.settings import settings_of
-
-        asked = asdict(self) | more
-        asked["sensor_bandwidth_hz"] = asked.pop("sensor_bandwidth")
-        asked["sensor_delay_s"] = asked.pop("sensor_delay")
-        with told_by_options("identification"):
-            return settings_of(**asked)
+        with told_by_options("LoopSettings"):
+            return cascade, LoopSettings(order=order, minutes=self.minutes).with_sensor(cascade)
 
 
 def folder_name(files: Sequence[Path]) -> str:
@@ -315,7 +253,6 @@ def folder_name(files: Sequence[Path]) -> str:
     return f"{labels[0]}_and_{len(labels) - 1}_more_{sha256(repr(labels).encode()).hexdigest()[:6]}"
 
 
-@grouped
 def loops(
     recorded: RecordFiles,
     out: Annotated[Path, typer.Option(metavar="DIR", help="File or folder for the figure.")] = Path(
@@ -384,12 +321,11 @@ def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
         tell(f"{few} of {all_} loops: for each pair the settled ones, or the widest; --json lists all")
 
 
-@grouped
 def identify(
     recorded: RecordFiles,
     held: Validation,
-    identified: Identified,
-    static: StaticBlock,
+    cascade: CascadeOptions,
+    block: KindOptions,
     in_loop: InLoop,
     out: Annotated[Path, typer.Option(metavar="FILE", help="File for the model.")] = Path("model.json"),
     report: Annotated[
@@ -410,15 +346,15 @@ def identify(
 
     refuse_output(out, [*recorded.files, *(held.validate or [])], MODEL, overwrite)
     held.refuse_fitted(recorded.files)
-    cascade, loop = in_loop.settings(identified, hysteresis=static.hysteresis, dead_zones=static.dead_zones)
-    in_loop.refuse_unused([*words_of(identified), *words_of(static)])
+    settings, loop = in_loop.settings(cascade, block)
+    in_loop.refuse_unused([*words_of(cascade), *words_of(block)])
     folder = report or out.parent / f"{out.stem}_fit"
     prepare_folder("--report", folder, FIT, ALWAYS, overwrite)
-    words = [word for group in (recorded, held, identified, static, in_loop) for word in words_of(group)]
+    words = [word for group in (recorded, held, cascade, block, in_loop) for word in words_of(group)]
     asked = Asked(out, recorded.files[: 1 if recorded.axes is None else 2], words)
     records, validation = recorded.read(), held.read(recorded)
     recorded.gains(records)
-    model, fit = _identified(records, loop or cascade, validation, out)
+    model, fit = _identified(records, loop or settings, validation, out)
     tell_kept(write_fit(model, fit, out, folder, figures, overwrite, asked))
     if in_loop.hysteresis_in_loop:
         for file in search_files(out):
@@ -457,11 +393,10 @@ def _identified(
         return identify_in_loop(records, settings, progress=spinner.tell, **same)
 
 
-@grouped
 def compare(
     recorded: RecordFiles,
     held: Validation,
-    identified: Identified,
+    cascade: CascadeOptions,
     in_loop: InLoop,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")] = Path("compare"),
     jobs: Annotated[
@@ -480,7 +415,7 @@ def compare(
     from hammerstein.reporting.compare_page import ALWAYS, COMPARISON, next_command, write_comparison
     from hammerstein.runtime.staging import prepare_folder
 
-    settings, loop = in_loop.settings(identified)
+    settings, loop = in_loop.settings(cascade)
     held.refuse_fitted(recorded.files)
     prepare_folder("--out", out, COMPARISON, ALWAYS, overwrite)
     records, validation = recorded.read(), held.read(recorded)

@@ -34,8 +34,6 @@ from hammerstein.runtime.resources import one_blas_thread
 ALIKE = 1.1
 """Ratio up to which the frequencies of two records count as one."""
 IN_LOOP = "hysteresis in the loop"
-SHARED = "sensor_bandwidth_hz", "sensor_delay_s", "accept_order"
-"""What its search takes from the settings of the other kinds."""
 
 
 def frequencies(records: Sequence[Record]) -> list[float]:
@@ -215,7 +213,7 @@ def compare(
     others = list(zip(fitted, trials, strict=True))
     loop = in_loop and fit_in_loop(
         records,
-        replace(in_loop, **{name: getattr(settings, name) for name in SHARED}),
+        in_loop.with_sensor(settings),
         validation,
         others,
         lambda text: tell(f"{IN_LOOP}: {text}", 1, 1),

@@ -147,11 +147,11 @@ def _with_dynamics(records: Sequence[Record], settings: Settings, plays: _Given)
     axes = found.candidate.dynamics.axes
     resonant = any(axis.resonance_hz is not None for axis in axes)
     modes = max(len(axis.creep) for axis in axes) if settings.creep_modes == "auto" else settings.creep_modes
-    return replace(settings, dynamics="second_order" if resonant else "lag", creep_modes=modes)
+    return settings.changed(dynamics="second_order" if resonant else "lag", creep_modes=modes)
 
 
 def _without_dynamics(settings: Settings) -> Settings:
-    return replace(settings, dynamics="none", order=None, creep_modes=0)
+    return settings.changed(dynamics="none", order=None, creep_modes=0)
 
 
 def _worked_off(
@@ -204,7 +204,7 @@ def _of_kind(plays: _Given, asked: Settings, kind: str) -> _Given:
     _use_once(kind)
     begun = time.process_time()
     try:
-        model, fit = fit_kind(plays.prepared, replace(asked, hysteresis=kind), name=kind)
+        model, fit = fit_kind(plays.prepared, asked.changed(hysteresis=kind), name=kind)
     except HammersteinError as error:
         if asked.dynamics == "none":
             return _Given(error=error)

@@ -228,7 +228,7 @@ def identification_parts(scenario: Scenario, plant: Plant) -> Iterator[Part]:
             keys = "its record_s, levels or experiments"
         else:
             samples = m * (len(spec.frequencies_hz) + 1) * spec.record_s / step
-            operators = TRIED_OPERATORS if spec.operators == "auto" else spec.operators
+            operators = TRIED_OPERATORS if spec.operators == "auto" else int(np.max(spec.operators))
             fitted = samples * (BYTES_A_FITTED_SAMPLE + BYTES_A_REGRESSOR * operators)
             words = f"the identification of {label!r} from {samples:.3g} samples"
             needed = COPIES * run_bytes(samples, m, p) + fitted

@@ -214,7 +214,7 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
 
     drive = _Excursion.of(plant, spec.amplitude_v)
     # The creep comes from a slow record of its own.
-    settings = replace(spec.settings(), creep_modes=0, sensor_bandwidth_hz=_known_hz(plant))
+    settings = spec.settings().changed(creep_modes=0, sensor_bandwidth_hz=_known_hz(plant))
     name = f"joint fit, {spec.operators} operators"
     model, _ = identify(
         _records(plant, spec, drive, seeds), settings, name=name, instruments=plant.instruments
@@ -226,7 +226,7 @@ def _loop_fit(plant: Plant, spec: LoopFitSpec, seeds: list[int]) -> HammersteinM
     """Plays in the loop of a state space, from multisines at several levels on all inputs together."""
     from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
 
-    settings = LoopSettings(spec.order, spec.minutes, _known_hz(plant))
+    settings = LoopSettings(order=spec.order, minutes=spec.minutes, sensor_bandwidth_hz=_known_hz(plant))
     drive, name = _Excursion.of(plant, spec.amplitude_v), "hysteresis in the loop"
     records = list(_settled_records(plant, spec, drive, seeds))
     model, _ = identify_in_loop(records, settings, name=name, complete=True)

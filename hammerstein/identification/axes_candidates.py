@@ -81,7 +81,7 @@ def build_axes(task: Task, guesses: Sequence[FirstGuess]) -> CandidateSet:
     if not late or task.settings.delay_samples is not None:
         return built
     task.progress("trying the model without delay")
-    settings = replace(task.settings, delay_samples=0)
+    settings = task.settings.changed(delay_samples=0)
     prompt = [replace(guess, delay_samples=0, free_delay=False) for guess in guesses]
     other = _built_with(replace(task, settings=settings, delay_samples=0), prompt)
     rms = [np.maximum(one.best.blocks.chosen.rms_um, TINY) for one in (built, other)]

@@ -118,7 +118,8 @@ def settings_of_plays(asked: Settings, kind: str) -> Settings:
     """Settings of the play model that is fitted before another kind of hysteresis."""
     settings = asked if kind == PLAYS else asked.without_auto()
     if identifiable_kinds()[kind].passes_for_delay and asked.delay_samples is None:
-        settings = replace(settings, delay_samples=0)  # plays alone would take widening loops for a delay
+        # plays alone would take widening loops for a delay
+        settings = settings.changed(delay_samples=0)
     return settings.with_plays()
 
 

@@ -233,4 +233,4 @@ def _static_delay(
 def _fine(settings: Settings) -> Settings:
     """Settings with so many operators that a delay does not stand in for thresholds that are missing."""
     few = isinstance(settings.operators, int) and settings.operators < DELAY_OPERATORS
-    return replace(settings, operators=DELAY_OPERATORS) if few else settings
+    return settings.changed(operators=DELAY_OPERATORS) if few else settings

@@ -6,17 +6,19 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from hammerstein.compensators import COMPENSATORS, Compensator
 from hammerstein.compensators.learning import Learned  # noqa: F401  (a kind of compensator that registers itself)
 from hammerstein.hysteresis.kind import refuse_unbuilt
 from hammerstein.identification.options import (
     FEWEST_EXPERIMENTS,
-    MOST_DEAD_ZONES,
-    DynamicsKind,
-    Partition,
-    known_kind,
+    Count,
+    DeadZones,
+    Kind,
+    LinearBlock,
+    Order,
+    Placed,
 )
 from hammerstein.quantities import (
     Cycles,
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
     from hammerstein.identification.settings import Settings
 
 
-DeadZoneCount = Annotated[int, Range(0, MOST_DEAD_ZONES)]
 Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=1, max_length=1000)]
 
 
@@ -74,31 +75,19 @@ class JointFitSpec(Strict):
     """Identify hysteresis and dynamics together by least squares through the linear block and the sensor.
 
     Each input in turn is driven by sines at the given frequencies, then by a multisine; with creep, slow
-    steps on all inputs come last. The sensor's bandwidth is taken from its data sheet. With partition
-    ``fitted`` the thresholds are fitted, too, and ``operators`` is the most there are.
+    steps on all inputs come last. The sensor's bandwidth is taken from its data sheet.
     """
 
     method: Literal["hammerstein"]
     amplitude_v: OwnAmplitude = None
-    operators: Operators | Literal["auto"] = Field(
-        default=15, description="plays of each pair of axes, or auto: by cross-validation"
-    )
-    partition: Partition = Field(
-        default="time", description="placement of thresholds, as in the guide of identify"
-    )
+    operators: Count = 15
+    partition: Placed = "time"
     frequencies_hz: Frequencies = Field(default=(50.0,), description="frequencies of the recorded sines")
     record_s: Length = Field(default=0.1, description="duration of each sine and of the multisine")
     sample_time_s: OwnSampleTime = None
-    hysteresis: Annotated[str, AfterValidator(known_kind)] | None = Field(
-        default=None,
-        description="kind of hysteresis: asymmetric adds dead-zones, in rate_dependent thresholds "
-        "grow with the rate, bouc_wen has no thresholds; plays if omitted",
-    )
-    dead_zones: DeadZoneCount | None = Field(
-        default=None,
-        description="dead-zones of each input, with hysteresis asymmetric; searched if omitted",
-    )
-    dynamics: DynamicsKind | None = Field(
+    hysteresis: Kind | None = Field(default=None, description="kind of hysteresis; plays if omitted")
+    dead_zones: DeadZones = None
+    dynamics: LinearBlock | None = Field(
         default=None, description="linear block of each axis; second_order, a resonance, if omitted"
     )
     creep_modes: Modes = Field(default=0, description="slow modes of each axis, from a separate record")
@@ -111,8 +100,8 @@ class JointFitSpec(Strict):
         """
         from hammerstein.identification.settings import Settings
 
-        names = {"operators", "partition", "hysteresis", "dead_zones", "dynamics", "creep_modes"}
-        given = {"dynamics": "second_order"} | self.model_dump(include=names, exclude_none=True)
+        same = JointFitSpec.model_fields.keys() & Settings.model_fields.keys()
+        given = {"dynamics": "second_order"} | self.model_dump(include=same, exclude_none=True)
         return Settings(**given, error_curve=False)
 
     @model_validator(mode="after")
@@ -127,7 +116,6 @@ class JointFitSpec(Strict):
 
 
 Part = Annotated[float, Range(1e-3, 1.0)]
-Minutes = Annotated[float, Range(0.1, 1440.0)]
 
 
 class LoopFitSpec(Strict):
@@ -145,10 +133,10 @@ class LoopFitSpec(Strict):
     )
     experiments: Annotated[int, Range(1, 1000)] = Field(default=2, description="multisines at each level")
     record_s: Length = Field(default=0.1, description="period of the multisines; lines are 1/period apart")
-    order: Annotated[int, Range(1, 100)] | None = Field(
-        default=None, description="states of the dynamics of all axes together; searched if omitted"
+    order: Order = None
+    minutes: Annotated[float, Range(0.1, 1440.0)] = Field(
+        default=60.0, description="time limit of the search"
     )
-    minutes: Minutes = Field(default=60.0, description="time limit of the search")
 
     sample_time_s: ClassVar[None] = None  # its model has the grid of its records, which is that of the run
 

@@ -164,7 +164,7 @@ def imported(*_, **__):
     except BaseException as error:
         raise ImportError("initialization failed") from error
 
-cli.app = imported
+cli.built = lambda words: imported
 main()
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

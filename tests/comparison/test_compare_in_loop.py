@@ -157,7 +157,7 @@ def test_a_known_sensor_is_no_part_of_any_model(monkeypatch):
     ideal = hammerstein.compare(plain, KNOWN, in_loop=SHORT)
     late = [replace(r, y_um=np.roll(r.y_um, 1, axis=1), period_samples=None) for r in seen]
     sensor = {"sensor_bandwidth_hz": hz, "sensor_delay_s": TIME_S}
-    known = hammerstein.compare(late, replace(KNOWN, **sensor), in_loop=SHORT)
+    known = hammerstein.compare(late, KNOWN.changed(**sensor), in_loop=SHORT)
     unknown = hammerstein.compare(seen, KNOWN, in_loop=SHORT)
     assert known.recommended == NAME
     assert len({tuple(entry.fitted_at) for entry in known.entries}) == 1  # one set of frequencies for a table
@@ -193,4 +193,6 @@ def test_the_command_takes_a_known_sensor(tmp_path, monkeypatch):
     for command, out in (("identify", "m.json"), ("compare", "out")):
         done = CliRunner().invoke(app, [command, *files, *words, *sensor, "--out", str(tmp_path / out)])
         assert "were given" in str(done.exception)
-    assert asked == 2 * [LoopSettings(6, 2.0, 2000.0, 1e-4, accept_order=True)]
+    assert asked == 2 * [
+        LoopSettings(order=6, minutes=2.0, sensor_bandwidth_hz=2000.0, sensor_delay_s=1e-4, accept_order=True)
+    ]

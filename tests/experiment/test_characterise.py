@@ -1,4 +1,5 @@
-from dataclasses import fields, replace
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -7,13 +8,13 @@ from shipped.paper_actuators import with_thresholds
 
 from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Voltages
-from hammerstein.commands.records import Identified
 from hammerstein.dynamics import StaticDynamics, discretise
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.experiment import simulated_identification
 from hammerstein.experiment.run import run
 from hammerstein.experiment.simulated_identification import identify_each
-from hammerstein.identification.settings import CHOICES, Settings
+from hammerstein.identification.options import CascadeOptions, DynamicsKind, Partition
+from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant
@@ -209,12 +210,12 @@ def test_an_option_of_identify_means_the_same_in_a_scenario(name, value):
 
 
 def test_every_word_of_identify_is_one_of_a_scenario_and_of_the_command_line():
-    for name in ("partition", "dynamics"):
-        for word in CHOICES[name]:
+    for name, words in (("partition", Partition), ("dynamics", DynamicsKind)):
+        for word in get_args(words):
             operators = {"operators": 5} if word == "state_space" else {}
             JointFitSpec.model_validate({"method": "hammerstein", name: word} | operators)
     shared = set(OPTIONS) - {"hysteresis", "dead_zones"}  # which are those of one command alone
-    assert shared <= {one.name for one in fields(Identified)}
+    assert shared <= CascadeOptions.model_fields.keys()
 
 
 def test_what_does_not_go_together_is_refused_in_a_scenario_too():

@@ -350,10 +350,13 @@ def test_settings_name_every_mistake_at_once():
             operators=0, solver="best", dynamics="none", order=4, creep_modes=2, ridge=-1.0, delay_samples=-1
         )
     wheres = [mistake.where for mistake in caught.value.mistakes]
-    assert wheres == ["solver", "order", "creep_modes", "operators", "delay_samples", "ridge"]
+    assert sorted(wheres) == ["delay_samples", "operators", "ridge", "solver"]
+    with pytest.raises(InputError) as caught:
+        plain(solver="closed_form", dynamics="none", order=4, creep_modes=2, ridge=1.0)
+    assert [mistake.where for mistake in caught.value.mistakes] == ["order", "creep_modes", "ridge"]
     with pytest.raises(InputError, match="closed_form ignores dynamics"):
         plain(solver="closed_form", dynamics="second_order")
-    with pytest.raises(InputError, match="give a number or auto"):
+    with pytest.raises(InputError, match="must be a whole number or a list or 'auto', not 'some'"):
         plain(operators="some")
 
 
@@ -365,7 +368,7 @@ def test_settings_name_every_mistake_at_once():
     ],
 )
 def test_numbers_of_things_are_whole(name, value):
-    with pytest.raises(InputError, match="whole number") as caught:
+    with pytest.raises(InputError, match=r"whole number|finite number") as caught:
         Settings(**{name: value})
     assert [mistake.where for mistake in caught.value.mistakes] == [name]
 
@@ -518,5 +521,5 @@ def test_the_response_of_a_model_is_estimated_as_that_of_the_records(bimorph_fit
     "given", [-1.0, 5.0, "a", [["x"]], [[0.0, 1.0], 2.0], [1.0, 0.5], [[[0.0, 1.0], [2.0, 1.0]]]]
 )
 def test_thresholds_that_are_none_are_refused(given):
-    with pytest.raises(InputError, match="each larger than the previous one"):
+    with pytest.raises(InputError, match=r"each larger than the previous one|is not a list of voltages"):
         Settings(thresholds_v=given)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -137,7 +136,7 @@ def test_plays_of_an_envelope_follow_a_loop_as_well_as_plays(name, number):
     settings = Settings(dynamics="none", creep_modes=0, error_curve=False)
     record = sorted(loops(name), key=lambda record: float(record.u_v.max()))[number]
     own = {
-        kind: identify([record], replace(settings, hysteresis=kind))[1].fit["static_hysteresis"]
+        kind: identify([record], settings.changed(hysteresis=kind))[1].fit["static_hysteresis"]
         for kind in ("prandtl_ishlinskii", "generalised")
     }
     assert own["generalised"].mean_percent < 1.5 * own["prandtl_ishlinskii"].mean_percent  # other thresholds

@@ -1,6 +1,5 @@
 """Rate-dependent plays from records, and the compensator that is built of them, on the packaged stack."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -183,7 +182,7 @@ def test_growth_is_found_behind_a_resonance_on_loops_of_falling_amplitude(growth
     y = truth.simulate(u, 1e-4).position_um
     record = Record(u, y + 0.03 * generator.standard_normal(y.shape), 1e-4)
     asked = Settings(hysteresis="rate_dependent", dynamics="second_order", creep_modes=0, delay_samples=0)
-    model, _ = identify([record], replace(asked, error_curve=False))
+    model, _ = identify([record], asked.changed(error_curve=False))
     assert isinstance(model.hysteresis, RateDependent)
     assert model.hysteresis.inputs[0].growth_s[-1] == pytest.approx(growth_s, rel=0.1)
     left = model.simulate(u, 1e-4).position_um - y

@@ -153,8 +153,8 @@ def test_a_model_without_dynamics_is_judged_with_the_past_that_suits_it():
     fast = triangles((30.0, 80.0, -20.0, 60.0, 0.0, 50.0, -60.0, 30.0), 4000.0)
     read = [record(creeping, u, f"{i}", ((90.0,),), seed=i) for i, u in enumerate((slow, fast))]
     fixed = Settings(operators=7, partition="voltage", error_curve=False, delay_samples=0)
-    _, alone = identify(read, replace(fixed, dynamics="none"))
-    _, whole = identify(read, replace(fixed, dynamics="lag", creep_modes=1))
+    _, alone = identify(read, fixed.changed(dynamics="none"))
+    _, whole = identify(read, fixed.changed(dynamics="lag", creep_modes=1))
     stated = whole.fit["static_hysteresis"].mean_percent
     assert whole.kind == "hammerstein"
     assert stated == pytest.approx(alone.fit["static_hysteresis"].mean_percent, rel=0.02)

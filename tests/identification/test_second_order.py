@@ -432,8 +432,8 @@ def crowded(noise, seed=0):
 @pytest.mark.parametrize("seed", [0, 3])
 def test_thresholds_and_axes_are_fitted_together(seed):
     """In turn, each makes up for what the other one lacks, and the search ends half way."""
-    given = Settings(20, dynamics="second_order", sensor_bandwidth_hz=SENSOR_HZ)
-    model, fit = identify(crowded(0.02, seed), replace(given, creep_modes=0, delay_samples=0))
+    given = Settings(operators=20, dynamics="second_order", sensor_bandwidth_hz=SENSOR_HZ)
+    model, fit = identify(crowded(0.02, seed), given.changed(creep_modes=0, delay_samples=0))
     for axis, (resonance_hz, damping) in zip(model.dynamics.axes, AXES, strict=True):
         assert axis.resonance_hz == pytest.approx(resonance_hz, rel=2e-3)
         assert axis.damping_ratio == pytest.approx(damping, rel=0.02)
@@ -449,8 +449,8 @@ def test_a_first_turn_without_an_inverse_does_not_end_the_fit(monkeypatch):
         return len(asked) == 1
 
     monkeypatch.setattr(axes_candidates, "lost_inverse", lost)
-    given = Settings(20, dynamics="second_order", sensor_bandwidth_hz=SENSOR_HZ)
-    _, fit = identify(crowded(0.05, 1), replace(given, creep_modes=0, delay_samples=0))
+    given = Settings(operators=20, dynamics="second_order", sensor_bandwidth_hz=SENSOR_HZ)
+    _, fit = identify(crowded(0.05, 1), given.changed(creep_modes=0, delay_samples=0))
     assert len(asked) > 1
     assert fit.judged[fit.kind].rms_um == pytest.approx((0.05, 0.05), rel=0.03)
 

@@ -121,7 +121,11 @@ def test_json_holds_fit_and_validation(records, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("--rate", 20000, "--operators", "many"), 2, "must be a whole number or auto"),
+        (
+            ("--rate", 20000, "--operators", "many"),
+            2,
+            "or 'auto', not 'many'",
+        ),
         (("--rate", 20000, "--solver", "best"), 2, "best"),
         (("--rate", 20000, "--time", "time"), 2, "rate"),
         ((), 2, "rate"),

@@ -180,7 +180,7 @@ def test_creep_that_the_model_has_is_not_told_as_drift():
     record, settings = creeping_record(), plain(operators=20, delay_samples=0)
     _, without = identify([record], settings)
     assert suspicions("\n".join(without.notes)) == {"drift"}
-    _, fit = identify([record], replace(settings, dynamics="lag", creep_modes=1))
+    _, fit = identify([record], settings.changed(dynamics="lag", creep_modes=1))
     assert fit.axes[0].axis.creep[0].gain == pytest.approx(0.07, rel=0.2)
     assert suspicions("\n".join(fit.flags)) == set()
     model = fit.candidates["hammerstein"]

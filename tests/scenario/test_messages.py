@@ -213,11 +213,11 @@ def test_a_mistake_in_an_option_names_the_option(tmp_path, capsys, csv):
     columns = ["--inputs", "u_x", "--outputs", "x", "--rate", "1000", "--out", str(tmp_path / "m.json")]
     options = ["--creep-modes", "9", "--dynamics", "second_order", "--sensor-bandwidth", "nan"]
     for more, told in (
-        (options, ("--creep-modes", "must be auto or a whole number, 0 to 5")),
+        (options, ("--creep-modes", "must be 0 to 5 or 'auto', not '9'")),
         (options, ("--sensor-bandwidth", "must be")),
         (["--sensor-delay", "-1e-5"], ("--sensor-delay", "must be 0 to 10000")),
-        (["--operators", "x"], ("--operators", "must be a whole number or auto, not 'x'")),
-        (["--operators", "-3"], ("--operators", "must be a whole number, 1 to 200")),
+        (["--operators", "x"], ("--operators", "must be a whole number or a list or 'auto', not 'x'")),
+        (["--operators", "-3"], ("--operators", "must be 1 to 200 or a list or 'auto', not '-3'")),
         (["--thresholds", "x"], ("--thresholds", "'x' is not a list of voltages")),
         (["--thresholds", "3,1"], ("--thresholds", "each larger than the previous one")),
         (["--thresholds", "0,nan"], ("--thresholds", "must be 0 to 1e6")),

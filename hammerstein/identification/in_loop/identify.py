@@ -11,14 +11,14 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
-from typing import NamedTuple
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import LinearBlock
-from hammerstein.errors import IdentificationError, InputError, Mistake, refuse
+from hammerstein.errors import IdentificationError, InputError
 from hammerstein.files import read_limited, write_atomic
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.fit_report import left_out, model_of, offsets, verdict
@@ -42,23 +42,20 @@ from hammerstein.identification.in_loop.start import (
 from hammerstein.identification.linear.coupled import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
-from hammerstein.identification.options import FEWEST_EXPERIMENTS
+from hammerstein.identification.options import FEWEST_EXPERIMENTS, KnownSensor, Order
 from hammerstein.identification.residual_analysis import record_flags
 from hammerstein.identification.score import Candidate, SensorModel, score
-from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import gain_model, state_space
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing, swing_ends
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import number_of
+from hammerstein.quantities import Range, number_of
 from hammerstein.records.record import Record, driven_inputs
 from hammerstein.runtime.resources import one_blas_thread
 
 STATES = (2, 4, 8, 16)
 """States of each output that are tried without given order, until more are not better. Too many states
 imitate the amplitude dependence of a resonance, badly, by further modes."""
-MOST_STATES = 400
-"""Largest order; the largest model of measured records has 48 states."""
 PATIENCE = 4
 """Consecutive steps without improvement on the selection experiments, after which a search ends."""
 GAINED = 0.99
@@ -77,37 +74,24 @@ FORMAT = "hammerstein-feedback-search/2"
 WHAT = "file of an interrupted search"
 
 
-@dataclass(frozen=True)
-class LoopSettings:
+class LoopSettings(KnownSensor):
     """Options for the identification of hysteresis in a loop.
 
-    order : states of the linear block, of all outputs together; searched if not given
     minutes : of search after which the best model found is given; what an interruption lost does not count
-    sensor_bandwidth_hz, sensor_delay_s : of the sensor, from its data sheet, as for ``Settings``; the
-        readings are freed of its lag and delay first
-    accept_order : whether an output may lead its input
+    sensor_bandwidth_hz, sensor_delay_s : the readings are freed of this lag and delay first
     """
 
-    order: int | None = None
-    minutes: float = 60.0
-    sensor_bandwidth_hz: float | None = None
-    sensor_delay_s: float = 0.0
-    accept_order: bool = False
-
-    def __post_init__(self) -> None:
-        mistakes = []
-        if not (self.order is None or (isinstance(self.order, int) and 1 <= self.order <= MOST_STATES)):
-            mistakes.append(Mistake("order", f"must be a whole number from 1 to {MOST_STATES}"))
-        if not self.minutes > 0.0:  # infinite is no limit
-            mistakes.append(Mistake("minutes", "must be above 0"))
-        refuse("identification", mistakes)
-        _ = self.sensor
+    order: Order = None
+    minutes: Annotated[float, Range(1e-3, 1e6, or_inf=True)] = 60.0
 
     @property
     def sensor(self) -> SensorModel:
         """Known properties of the sensor."""
-        bandwidth_hz, delay_s = self.sensor_bandwidth_hz, self.sensor_delay_s
-        return Settings(sensor_bandwidth_hz=bandwidth_hz, sensor_delay_s=delay_s).sensor
+        return SensorModel(self.sensor_bandwidth_hz, self.sensor_delay_s)
+
+    def with_sensor(self, known: KnownSensor) -> Self:
+        """Return the same with the sensor of other options."""
+        return self.changed(**{name: getattr(known, name) for name in KnownSensor.model_fields})
 
 
 @one_blas_thread()
