@@ -5,7 +5,6 @@ import json
 import os
 import sys
 from collections.abc import Callable, Collection
-from functools import wraps
 from typing import Annotated, Any
 
 import typer
@@ -50,6 +49,8 @@ def refuse_small_limit() -> None:
 COLUMNS = "--inputs u_x,u_y --outputs x,y --time time_s"
 USAGE: Any = typer.BadParameter.__base__
 """Errors of a wrong command line; Typer takes them from click, or has click inside."""
+COMPLETION = "_HAMMERSTEIN_COMPLETE"
+"""Variable in which a shell asks for completions."""
 PRINTED = ("schema", "actuators", "show", "guide")
 """Commands whose purpose is their output, even with --quiet."""
 
@@ -79,10 +80,9 @@ def _before(
 def _named(command: Callable[..., None]) -> Callable[..., None]:
     """Name and help of a command that is not called; to make its options would take longer than all else."""
 
-    @wraps(command, assigned=("__name__", "__doc__"))
     def alone() -> None: ...
 
-    del alone.__wrapped__  # its options
+    alone.__name__, alone.__doc__ = command.__name__, command.__doc__
     return alone
 
 
@@ -148,7 +148,8 @@ def _exit_code(arguments: list[str] | None) -> int | str | None:
     try:
         try:
             words = sys.argv[1:] if arguments is None else arguments
-            code = built(words)(arguments, standalone_mode=False) or 0
+            completed = COMPLETION in os.environ  # its words are not among the arguments
+            code = built(None if completed else words)(arguments, standalone_mode=False) or 0
         except SystemExit as end:
             code = end.code
         except USAGE as mistake:

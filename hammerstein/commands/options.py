@@ -96,16 +96,16 @@ def grouped(command: Callable[..., None]) -> Callable[..., None]:
     >>> show(x=1.0)
     Place(x=1.0, y=0.0) False
     """
-    flat, groups = list[Parameter](), dict[str, Any]()
+    flat, groups = list[Parameter](), dict[str, tuple[Any, list[Parameter]]]()
     for one in _options(command):
         if is_dataclass(one.annotation) or hasattr(one.annotation, "model_fields"):
-            groups[one.name] = one.annotation
-        flat += _options(groups[one.name]) if one.name in groups else [one]
+            groups[one.name] = one.annotation, _options(one.annotation)
+        flat += groups[one.name][1] if one.name in groups else [one]
 
     @wraps(command)
     def run(**options: Any) -> None:
-        for name, group in groups.items():
-            held = {one.name: options.pop(one.name) for one in _options(group) if one.name in options}
+        for name, (group, own) in groups.items():
+            held = {one.name: options.pop(one.name) for one in own if one.name in options}
             with told_by_options(group.__name__):
                 options[name] = group(**held)
         command(**options)

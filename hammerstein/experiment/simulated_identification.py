@@ -215,7 +215,8 @@ def _joint_fit(plant: Plant, spec: JointFitSpec, seeds: list[int]) -> Hammerstei
     drive = _Excursion.of(plant, spec.amplitude_v)
     # The creep comes from a slow record of its own.
     settings = spec.settings().changed(creep_modes=0, sensor_bandwidth_hz=_known_hz(plant))
-    name = f"joint fit, {spec.operators} operators"
+    each = isinstance(spec.operators, tuple)
+    name = "joint fit, operators of each pair" if each else f"joint fit, {spec.operators} operators"
     model, _ = identify(
         _records(plant, spec, drive, seeds), settings, name=name, instruments=plant.instruments
     )

@@ -1,7 +1,6 @@
 """Options of an identification, declared once: the command line, scenarios and Python read them here."""
 
 import itertools
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -50,13 +49,9 @@ def known_kind(name: str) -> str:
     """Return the name of an identifiable kind of hysteresis; ValueError, for pydantic, for any other name."""
     known = identifiable_kinds()
     if name not in known:
-        raise ValueError(unknown_word(name, known))
+        listed = f"{', '.join(known)}{suggestion(name, known)}"
+        raise ValueError(f"{name!r} is not known; choose one of {listed}")
     return name
-
-
-def unknown_word(word: str, known: Iterable[str]) -> str:
-    """State that a word is unknown, and list the known ones."""
-    return f"{word!r} is not known; choose one of {', '.join(known)}{suggestion(word, known)}"
 
 
 def _plain(value: Any) -> Any:

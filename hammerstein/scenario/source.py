@@ -85,7 +85,10 @@ class JointFitSpec(Strict):
     frequencies_hz: Frequencies = Field(default=(50.0,), description="frequencies of the recorded sines")
     record_s: Length = Field(default=0.1, description="duration of each sine and of the multisine")
     sample_time_s: OwnSampleTime = None
-    hysteresis: Kind | None = Field(default=None, description="kind of hysteresis; plays if omitted")
+    hysteresis: Kind | None = Field(
+        default=None,
+        description="asymmetric, generalised, preisach, rate_dependent, bouc_wen or others; plays if omitted",
+    )
     dead_zones: DeadZones = None
     dynamics: LinearBlock | None = Field(
         default=None, description="linear block of each axis; second_order, a resonance, if omitted"

@@ -8,6 +8,8 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -338,6 +340,18 @@ def test_its_best_compensator_leaves_little(folder: Path) -> None:
 
 def test_completion_is_offered() -> None:
     assert "--install-completion" in help_of().output
+
+
+@pytest.mark.parametrize(("words", "wanted"), [("identify --ope", "--operators"), ("iden", "identify")])
+def test_the_shell_completes_commands_and_their_options(words: str, wanted: str) -> None:
+    """A shell gives its words in the environment, not as arguments."""
+    code = "import sys; sys.argv = ['hammerstein']; from hammerstein.__main__ import main; main()"
+    asked = {"COMP_WORDS": f"hammerstein {words}", "COMP_CWORD": str(len(words.split()))}
+    asked |= {"_HAMMERSTEIN_COMPLETE": "complete_bash"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | asked, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [wanted]
 
 
 def test_show_lists_the_arrays_of_a_file_and_how_their_columns_are_named(

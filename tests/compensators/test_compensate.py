@@ -262,6 +262,12 @@ def _stage(folder):
     return model
 
 
+def _light(folder):
+    """The same, lightly damped at 180 Hz, as stage.json."""
+    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
+    dataclasses.replace(_stage(folder), dynamics=axes).save(folder / "stage.json")
+
+
 def _path(folder, x_um, name="path.csv"):
     pd.DataFrame({"time_s": T * np.arange(len(x_um)), "x": x_um}).to_csv(folder / name, index=False)
     return folder / name
@@ -314,12 +320,8 @@ def test_a_step_that_is_large_in_the_range_is_named(tmp_path, capsys, monkeypatc
 @pytest.mark.parametrize("kind", ["far", "below"])
 def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, monkeypatch, kind):
     """A path 40 um away from where a lightly damped stage stands wants a lead-in; one below it an offset."""
-    from hammerstein.dynamics import AxesDynamics, Axis
-
     monkeypatch.chdir(tmp_path)
-    model = _stage(tmp_path)
-    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
-    dataclasses.replace(model, dynamics=axes).save(tmp_path / "stage.json")
+    _light(tmp_path)
     wave = 10.0 * np.cos(2.0 * np.pi * 20.0 * T * np.arange(2000))
     path = _path(tmp_path, wave + (40.0 if kind == "far" else 0.0))
     assert _call("compensate", "stage.json", path) == 3
@@ -356,7 +358,7 @@ def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_u
     within = reach(model, list(zip(limits.low_v, limits.high_v, strict=True)))
     here, away = (
         MissedPath(
-            model, limits, None, path + np.reshape(by, (2, 1)), np.zeros(2), within, "", None
+            model, limits, None, path + np.reshape(by, (2, 1)), np.zeros(2), within, (), None
         )._towards_the_middle()[0][0]
         for by in ([0.0, 0.0], away_um)
     )
@@ -370,7 +372,7 @@ def test_a_lead_in_is_named_where_a_path_begins_elsewhere_and_nothing_leads_in(f
     model = HammersteinModel.load("duo_bimorph_static")
     limits, found = allowed_range(model, Terms()), SimpleNamespace(lead=led)
     path = np.array([[first_um], [0.0]]) + np.array([[1.0], [-0.3]]) * smooth_step(np.arange(800) / 700.0)
-    missed = MissedPath(model, limits, None, path, np.zeros(2), None, "", found)
+    missed = MissedPath(model, limits, None, path, np.zeros(2), None, (), found)
     assert missed.prefix == ("--lead-in" if first_um else "")
     assert missed.given == ("--lead-in" if led else "")
 
@@ -378,8 +380,7 @@ def test_a_lead_in_is_named_where_a_path_begins_elsewhere_and_nothing_leads_in(f
 def test_an_offset_and_a_filter_are_named_together_where_a_path_needs_both(tmp_path, capsys, monkeypatch):
     """A triangle about 0 on a stage that only extends: half of it is out of reach, and so are its corners."""
     monkeypatch.chdir(tmp_path)
-    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
-    dataclasses.replace(_stage(tmp_path), dynamics=axes).save(tmp_path / "stage.json")
+    _light(tmp_path)
     lines = np.abs((np.arange(4000) * T * 10.0 + 0.75) % 1.0 - 0.5) - 0.25
     path = _path(tmp_path, 160.0 * lines)
     assert _call("compensate", "stage.json", path) == 3
@@ -428,11 +429,8 @@ def test_a_drive_is_written_to_a_path_and_a_number_is_a_start_or_a_range(tmp_pat
 
 def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsys, monkeypatch):
     """Corners 5 um away from where a lightly damped stage stands need a lead-in and a filter."""
-    from hammerstein.dynamics import AxesDynamics, Axis
-
     monkeypatch.chdir(tmp_path)
-    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
-    dataclasses.replace(_stage(tmp_path), dynamics=axes).save(tmp_path / "stage.json")
+    _light(tmp_path)
     lines = np.abs((np.arange(4000) * T * 10.0 + 0.5) % 1.0 - 0.5)
     path = _path(tmp_path, 5.0 + 80.0 * lines)
     assert _call("compensate", "stage.json", path) == 3
@@ -454,11 +452,8 @@ def test_every_remedy_of_a_raster_leaves_the_error_that_is_named(tmp_path, capsy
 @pytest.mark.parametrize("options", [("--filter-hz", "3000"), ("--offset=3", "--softening-v", "0.5")])
 def test_remedies_keep_the_options_of_the_command(tmp_path, capsys, monkeypatch, options):
     """As they are printed, they leave the error that is named."""
-    from hammerstein.dynamics import AxesDynamics, Axis
-
     monkeypatch.chdir(tmp_path)
-    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
-    dataclasses.replace(_stage(tmp_path), dynamics=axes).save(tmp_path / "stage.json")
+    _light(tmp_path)
     lines = np.abs((np.arange(2000) * T * 40.0 + 0.5) % 1.0 - 0.5)
     law = ("--law", "exact_inverse") if "--softening-v" in options else ()
     path = _path(tmp_path, 5.0 + 200.0 * lines)
@@ -475,11 +470,8 @@ def test_remedies_keep_the_options_of_the_command(tmp_path, capsys, monkeypatch,
 
 def test_a_lower_bandwidth_than_that_of_the_command_is_tried(tmp_path, capsys, monkeypatch):
     """It replaces the filter of the command, and leaves the error that is named."""
-    from hammerstein.dynamics import AxesDynamics, Axis
-
     monkeypatch.chdir(tmp_path)
-    axes = AxesDynamics(axes=(Axis(resonance_hz=180.0, damping_ratio=0.02),))
-    dataclasses.replace(_stage(tmp_path), dynamics=axes).save(tmp_path / "stage.json")
+    _light(tmp_path)
     lines = np.abs((np.arange(4000) * T * 160.0 + 0.5) % 1.0 - 0.5)
     path = _path(tmp_path, 5.0 + 80.0 * lines)
     assert _call("compensate", "stage.json", path, "--lead-in", "--filter-hz", "3000") == 3

@@ -218,6 +218,13 @@ def test_every_word_of_identify_is_one_of_a_scenario_and_of_the_command_line():
     assert shared <= CascadeOptions.model_fields.keys()
 
 
+def test_a_scenario_takes_a_number_of_operators_for_each_pair():
+    spec = JointFitSpec(method="hammerstein", operators=[[6, 8], [7, 6]], dynamics="none")
+    model = identified(_plant("duo_bimorph_static", instruments=Instruments.ideal()), spec, 1)
+    assert model.hysteresis.operators == ((6, 8), (7, 6))
+    assert model.name == "joint fit, operators of each pair"
+
+
 def test_what_does_not_go_together_is_refused_in_a_scenario_too():
     wrong = {"method": "hammerstein", "dead_zones": 3}
     scenario = {
