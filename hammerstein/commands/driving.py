@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -172,7 +172,7 @@ class Reached:
         """Raise InputError for options that a period does not use, because it has a run-up."""
         given = ["--lead-in"] * self.lead_in + ["--approach-side"] * (self.approach_side is not None)
         if given:
-            what = "not with --cycle, --table or --learn; these write a run-up"
+            what = "leave it out with --cycle, --table or --learn, whose drives begin with a run-up"
             raise InputError(", ".join(given), what)
 
 
@@ -310,6 +310,10 @@ def compensate(
     ] = "hammerstein_inverse",
     words: LawWords,
     sent: Sent,
+    converter_step: Annotated[
+        float | None,
+        typer.Option(metavar="V", help="Step of the converter; default: that of the model file."),
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("drive.csv"),
     cycle: Annotated[
         bool,
@@ -337,7 +341,7 @@ def compensate(
     run_up = out.with_name(f"{out.stem}.run_up.csv")
     if periodic:
         refuse_output(run_up, read, DRIVE, overwrite)
-    asked, terms = (model, reference, law, options), reached.terms(sent)
+    asked, terms = (model, reference, law, options), replace(reached.terms(sent), step_v=converter_step)
     with told_by_options("compensate", words.own), watched() as onlooker:
         if periodic:
             reached.refuse_with_period()

@@ -249,7 +249,7 @@ class Prediction:
         told = f"Expected rms error: {each}."
         if self.converter.any():
             return told
-        what = "set instruments.drive.resolution_v in the model file to include them"
+        what = "--converter-step V includes them"
         return f"{told} Converter steps are not included; {what}."
 
     def _of(self, o: int, name: str) -> str:

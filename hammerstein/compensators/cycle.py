@@ -254,7 +254,7 @@ def design_of(
     onlooker: Onlooker = UNWATCHED,
 ) -> Design:
     """Design a law for a file with one period of a path; raises the errors of ``cycle_of``."""
-    model, source = HammersteinModel.load(model_path), PurePath(model_path).name
+    model, source = terms.loaded(model_path), PurePath(model_path).name
     refuse_flagged(model, source, terms)
     limits = allowed_range(model, terms)
     time_s = model.instruments.drive.sample_time_s

@@ -247,6 +247,7 @@ class Terms:
     offset_um : added to the positions of each output, or of all [um]
     approach_um : distance by which a detour goes past each hold, see ``approached`` [um]
     units : of positions in a file whose columns name none, such as nm
+    step_v : of the converter [V]; that of the model file if not given
     """
 
     range_v: tuple[float, ...] | None = None
@@ -259,6 +260,17 @@ class Terms:
     offset_um: tuple[float, ...] | None = None
     approach_um: tuple[float, ...] | None = None
     units: str | None = None
+    step_v: float | None = None
+
+    def loaded(self, model_path: str) -> HammersteinModel:
+        """Model of a file, or a packaged one, with the converter that these terms name."""
+        model = HammersteinModel.load(model_path)
+        if self.step_v is None:
+            return model
+        if not 0.0 <= self.step_v < np.inf:
+            raise InputError("--converter-step", f"must be at least 0 V, not {self.step_v:g}")
+        drive = model.instruments.drive.model_copy(update={"resolution_v": self.step_v})
+        return replace(model, instruments=model.instruments.model_copy(update={"drive": drive}))
 
 
 def compensate(
@@ -289,7 +301,7 @@ def compensate(
     IdentificationError : the model's own fit report flagged it
     """
     terms = terms or Terms()
-    model, source = HammersteinModel.load(model_path), PurePath(model_path).name
+    model, source = terms.loaded(model_path), PurePath(model_path).name
     sample_time_s = model.instruments.drive.sample_time_s
     time_s, reference, resampled = read_path(
         reference_path, model, sample_time_s, onlooker=onlooker, units=terms.units

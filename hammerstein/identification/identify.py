@@ -141,9 +141,9 @@ def fit_plays(
     _refuse_mixed([*ready, *held])
     if not settings.shapes and settings.dynamics != "state_space":
         refuse_one_way(ready)
-    task, guesses, curve = first_task(ready, settings, tell)
+    task, guess, curve = first_task(ready, settings, tell)
     build = build_state_space if task.settings.dynamics == "state_space" else build_static
-    built = build_axes(task, guesses) if guesses else build(task)
+    built = build_axes(task, guess) if guess else build(task)
     response = responses(built.best.candidate, ready, task.starts)
     refuse_noise(ready, response)
     held_starts = _starts_of_held(held, built, settings)

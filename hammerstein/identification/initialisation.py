@@ -6,15 +6,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hammerstein.dynamics import StaticDynamics
-from hammerstein.identification.axes_candidates import guesses_of, with_checked_delay
-from hammerstein.identification.linear.axis_search import (
-    ROUGHLY,
-    FirstGuess,
-    refine,
-    search_creep,
-    thinning,
-)
-from hammerstein.identification.linear.axis_task import AxisTask
+from hammerstein.identification.axes_candidates import guess_of
+from hammerstein.identification.linear.axis_search import ROUGHLY, refine, thinning
+from hammerstein.identification.linear.axis_task import AxisTask, axis_of, parameters_of
 from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
@@ -23,6 +17,7 @@ from hammerstein.identification.operators import (
     error_curve,
     input_grids,
 )
+from hammerstein.identification.output_dynamics import OutputDynamics, with_step
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
@@ -59,13 +54,13 @@ FIRST_SAMPLES = 50_000
 
 
 def _first_starts(
-    records: tuple[Record, ...], settings: Settings, guess: FirstGuess | None = None
+    records: tuple[Record, ...], settings: Settings, guess: OutputDynamics | None = None
 ) -> tuple[InitialState, ...]:
     """How the records begin, with quick models of the static block behind the axes guessed so far."""
     mode = settings.start_mode
     if mode == "rest":
         return (InitialState("rest"),) * len(records)
-    models, settle_s = _FirstModels(records, guess, settings), guess.dynamics().settle_s if guess else 0.0
+    models, settle_s = _FirstModels(records, guess, settings), guess.dynamics.settle_s if guess else 0.0
     return found_starts(records, lambda starts: models.fitted(starts).predict, settle_s, mode)
 
 
@@ -78,14 +73,14 @@ class _FirstModels:
     """
 
     records: tuple[Record, ...]
-    guess: FirstGuess | None
+    guess: OutputDynamics | None
     settings: Settings
     gathered: dict[tuple[int, InitialState], list[Moments]] = field(default_factory=dict)
 
     def fitted(self, starts: Sequence[InitialState]) -> Candidate:
         """Return the model for records that begin in given ways."""
         task = self._task(starts)
-        dynamics = self.guess.dynamics() if self.guess else StaticDynamics(n_outputs=task.outputs)
+        dynamics = self.guess.dynamics if self.guess else StaticDynamics(n_outputs=task.outputs)
         layout = SlopeColumns.of(task.thresholds_v)
         refuse_unreached(task.records, layout.grids)
         paths = task.paths(dynamics)
@@ -111,46 +106,39 @@ class _FirstModels:
 
 def first_task(
     records: tuple[Record, ...], settings: Settings, tell: Progress
-) -> tuple[Task, tuple[FirstGuess, ...], tuple[CurvePoint, ...]]:
+) -> tuple[Task, OutputDynamics | None, tuple[CurvePoint, ...]]:
     """Initial states, delays and thresholds of the records, and approximate axes."""
     tell("estimating the initial states")
     begun = _first_starts(records, settings)
-    guesses = guesses_of(records, begun, settings, tell)
-    guess = guesses[-1] if guesses else None
-    starts = _first_starts(records, settings, guess) if guess else begun
+    found = guess_of(records, begun, settings, tell) if settings.shapes else None
+    guess, starts = found, _first_starts(records, settings, found) if found else begun
     if guess and _left_by(records, None, settings, begun) < _left_by(records, guess, settings, starts):
         guess, starts = None, begun  # axes that only do harm would decide on starts and thresholds
     elif starts != begun:
-        guesses = guesses_of(records, starts, settings, tell)
-        guess = guesses[-1]
+        guess = found = guess_of(records, starts, settings, tell)
     first = _FirstModels(records, guess, settings).fitted(starts)
-    settle_s = max((one.dynamics().settle_s for one in guesses), default=0.0)
+    settle_s = found.dynamics.settle_s if found else 0.0
     starts = judged_starts(records, first.predict, settle_s, settings.start_mode)
     if guess:
         starts = creeping_starts(records, starts, guess, settings, tell)
     static = _static_delay(records, starts, settings, tell)
-    delay = guesses[-1].delay_samples if guesses else static
-    task = Task(records, starts, (), delay, settings, tell, static)
-    if guesses:
-        fine = replace(task, thresholds_v=_fine(settings).thresholds(records, DELAY_OPERATORS))
-        guesses = tuple(with_checked_delay(fine, guess) for guess in guesses)
-        task = replace(task, delay_samples=guesses[-1].delay_samples)
+    task = Task(records, starts, (), found.delay_samples if found else static, settings, tell, static)
     curve: tuple[CurvePoint, ...] = ()
     wanted = settings.error_curve or (settings.operators == "auto" and settings.thresholds_v is None)
     if wanted and settings.uses_axes:
         tell("trying numbers of operators")
-        paths = task.paths(guess.dynamics() if guess else first.dynamics)
+        paths = task.paths(guess.dynamics if guess else first.dynamics)
         place, whole = settings.begun_with, task.whole_delay
         curve = error_curve(records, starts, partition=place, delay_samples=whole, through=paths)
     chosen = enough_operators(curve) if curve else DEFAULT_OPERATORS
     if settings.fits_thresholds and settings.operators == "auto":
         chosen = min(chosen, MOST_FITTED)
-    return replace(task, thresholds_v=settings.thresholds(records, chosen)), guesses, curve
+    return replace(task, thresholds_v=settings.thresholds(records, chosen)), found, curve
 
 
 def _left_by(
     records: tuple[Record, ...],
-    guess: FirstGuess | None,
+    guess: OutputDynamics | None,
     settings: Settings,
     starts: tuple[InitialState, ...],
 ) -> float:
@@ -161,7 +149,7 @@ def _left_by(
 def creeping_starts(
     records: tuple[Record, ...],
     starts: tuple[InitialState, ...],
-    guess: FirstGuess,
+    guess: OutputDynamics,
     settings: Settings,
     tell: Progress,
 ) -> tuple[InitialState, ...]:
@@ -181,7 +169,7 @@ def creeping_starts(
     least, creeping, begun = min(tried, key=lambda one: one[0])
     for _ in range(CREEP_ROUNDS):
         model = _FirstModels(quick, creeping, settings).fitted(begun)
-        other = judged_starts(quick, model.predict, guess.dynamics().settle_s, "auto", slow_s=model.slow_s)
+        other = judged_starts(quick, model.predict, guess.dynamics.settle_s, "auto", slow_s=model.slow_s)
         rms, near = _creeping_guess(quick, other, creeping, settings)
         if rms >= least:
             break
@@ -202,18 +190,19 @@ def _all_stepped_from(
 
 
 def _creeping_guess(
-    records: tuple[Record, ...], starts: tuple[InitialState, ...], guess: FirstGuess, settings: Settings
-) -> tuple[float, FirstGuess]:
+    records: tuple[Record, ...], starts: tuple[InitialState, ...], guess: OutputDynamics, settings: Settings
+) -> tuple[float, OutputDynamics]:
     """Axes with a slow mode near those of a guess, and before them the geometric mean of what they leave."""
     grids, every = tuple(input_grids(records, FIRST_OPERATORS, "voltage")), thinning(records)
-    shapes, points = [], []
-    for o, (shape, x) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
-        larger = replace(shape, creep_modes=1)
-        task = AxisTask(records, starts, grids, o, larger, guess.delay_samples, settings.sensor, every)
-        points.append(search_creep(task, x) if shape.creep_modes == 0 else refine(task, x, ROUGHLY))
-        shapes.append(larger)
-    rms = float(np.exp(np.mean([np.log(max(point.rms, TINY)) for point in points])))
-    return rms, replace(guess, shapes=tuple(shapes), parameters=tuple(point.x for point in points))
+    axes, rms = [], []
+    for o, axis in enumerate(guess.axes):
+        shape, x = parameters_of(axis)
+        task = AxisTask(records, starts, grids, o, shape, guess.delay_samples, settings.sensor, every)
+        grown = None if shape.creep_modes else with_step(task, shape, x, "creep")
+        larger, point = grown or (shape, refine(task, x, ROUGHLY))
+        axes.append(axis_of(larger, point.x))
+        rms.append(max(point.rms, TINY))
+    return float(np.exp(np.mean(np.log(rms)))), guess._replace(axes=tuple(axes))
 
 
 def _static_delay(

@@ -17,7 +17,6 @@ from hammerstein.identification.columns import NEAR, chosen_columns, driven_of, 
 from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.initialisation import creeping_starts
-from hammerstein.identification.linear.axis_search import FirstGuess
 from hammerstein.identification.linear.axis_task import parameters_of as axis_parameters
 from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
 from hammerstein.identification.model_selection import Trial, chosen, enough_readings, lowers, trial_of
@@ -345,8 +344,8 @@ def _starts_behind(task: Task, whole: HammersteinFit, first: bool) -> tuple[Init
         new if creeps or not old.held else old for old, new in zip(task.starts, judged, strict=True)
     )
     if first and mode == "auto" and not any(start.held for start in starts):
-        each = [axis_parameters(axis.model_copy(update={"creep": ()})) for axis in whole.behind.axes]
-        guess = FirstGuess(tuple(s for s, _ in each), tuple(x for _, x in each), whole.behind.delay_samples)
+        fast = tuple(axis.model_copy(update={"creep": ()}) for axis in whole.behind.axes)
+        guess = OutputDynamics(fast, whole.behind.delay_samples)
         starts = creeping_starts(task.records, starts, guess, task.settings, task.progress)
     if mode != "auto":
         return starts

@@ -19,10 +19,13 @@ from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_search import (
     CREEP_SPANS,
     LAG_SAMPLES,
+    PEAK_DAMPING,
     Point,
+    arrived,
     refine,
     refined_late,
     resonances,
+    ringing_hz,
     rms_behind,
     thinning,
 )
@@ -72,12 +75,18 @@ class OutputDynamics(NamedTuple):
 
 
 def search_output_dynamics(
-    task: Task, hysteresis: Hysteresis[Any], begin: OutputDynamics, free_delay: bool = False
+    task: Task,
+    hysteresis: Hysteresis[Any],
+    begin: OutputDynamics,
+    free_delay: bool = False,
+    *,
+    one_fast: bool = False,
 ) -> OutputDynamics:
     """Axes behind a block whose weights are free.
 
     A low-pass, a resonance and slow modes are added to an axis one after the other: each time the one that
-    lowers the error most, as long as it does so by two percent.
+    lowers the error most, or the simplest that comes within two percent of it, as long as the error falls by
+    two percent.
 
     Parameters
     ----------
@@ -85,13 +94,16 @@ def search_output_dynamics(
     hysteresis : the block; only its weights are refitted
     begin : initial axes, if any, and initial delay
     free_delay : whether the delay is fitted, too
+    one_fast : whether each axis has either a low-pass or a resonance, even if it does not lower the error:
+        both together look like a delay
     """
     late = replace(task, delay_samples=begin.delay_samples)
     every = [len(weights) for weights in hysteresis.weights]
     tasks = [_axis_tasks(late, hysteresis, o, (number, MANY, FEW)) for o, number in enumerate(every)]
     near = begin.axes or (Axis(),) * task.outputs
     selected = [
-        _forward_selection(task, one, quick, axis) for (_, one, quick), axis in zip(tasks, near, strict=True)
+        _forward_selection(task, one, quick, axis, one_fast)
+        for (_, one, quick), axis in zip(tasks, near, strict=True)
     ]
     shapes, begins = [shape for shape, _ in selected], [x for _, x in selected]
     whole, many, few = (
@@ -99,7 +111,7 @@ def search_output_dynamics(
         for row in zip(*tasks, strict=True)
     )
     delay = begin.delay_samples
-    if free_delay and all(len(x) for x in begins):
+    if free_delay:
         task.progress("estimating the delay")
         delay, begins = _delay(many, few, delay, begins)
     return OutputDynamics(tuple(_nearer(one, x, delay) for one, x in zip(whole, begins, strict=True)), delay)
@@ -136,11 +148,11 @@ def sure_output_dynamics(task: Task, hysteresis: Hysteresis[Any], found: OutputD
         [one] = _axis_tasks(late, hysteresis, o, (len(hysteresis.weights[o]),))
         one = replace(one, shape=shape)
         fit = found.fits[o] if found.fits else fit_axis(one, x)
-        fits.append(_sure(one, fit, asked=task.settings.creep_modes != "auto"))
+        fits.append(sure_axis(one, fit, asked=task.settings.creep_modes != "auto"))
     return OutputDynamics(tuple(fit.axis for fit in fits), found.delay_samples, tuple(fits))
 
 
-def _sure(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
+def sure_axis(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
     """The axis without slow modes and resonances that the records do not identify, removed one by one.
 
     asked : whether a number of slow modes was requested; these stay, identified or not
@@ -165,7 +177,7 @@ def _with_lag_instead(one: AxisTask, fit: AxisFit) -> AxisFit:
     plain = fit_axis(replace(one, shape=without), x[2:])
     if shape.lag:
         return plain
-    found = _with(replace(one, shape=without), without, x[2:], "lag")
+    found = with_step(replace(one, shape=without), without, x[2:], "lag")
     if found is None:
         return plain
     lagging = fit_axis(replace(one, shape=found[0]), found[1].x)
@@ -208,7 +220,9 @@ def _told(columns: Sequence[Regressors], every: int) -> Array:
     return np.asarray((directions[:, kept] / np.sqrt(power[kept])).T / size)
 
 
-def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) -> tuple[AxisShape, Array]:
+def _forward_selection(
+    task: Task, one: AxisTask, quick: AxisTask, begin: Axis, one_fast: bool
+) -> tuple[AxisShape, Array]:
     """Shape and parameters of one axis, found by adding what lowers the error most.
 
     one, quick : with many columns, which decide, and with the few that a search needs
@@ -223,16 +237,19 @@ def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) 
     x, error = (here.x, here.rms) if here else (x, rms_behind(replace(one, shape=shape), x))
     while True:
         task.progress(f"trying dynamics from the hysteresis to {name}: {shape.name} so far")
+        fast = () if one_fast and shape.slow else fast
         steps = [step for step in fast if not getattr(shape, step)]
         steps += ["creep"] if shape.creep_modes < most else []
-        tried = [_with(quick, shape, x, step) for step in steps]
+        tried = [with_step(quick, shape, x, step) for step in steps]
         if "lag" in steps and shape.resonance:  # a damped resonance may have taken the place of a low-pass
             tried.append(_with_both(quick, shape, x))
         trials = [trial for trial in tried if trial is not None and _physical(axis_of(trial[0], trial[1].x))]
         if not trials:
             return shape, x
-        best = min(trials, key=lambda trial: trial[1].rms)
+        best = _simplest_near(trials)
         asked = [trial for trial in trials if asks and trial[0].creep_modes > shape.creep_modes]
+        if one_fast and fast:
+            asked.insert(0, _simplest_near([trial for trial in trials if trial[0].slow > shape.slow]))
         for (larger, found), most_rms in ((best, (1.0 - FELT) * error), *((t, math.inf) for t in asked)):
             point = refine(replace(one, shape=larger), found.x, SEARCHED)
             if point.rms <= most_rms and _physical(axis_of(larger, point.x)):
@@ -242,13 +259,23 @@ def _forward_selection(task: Task, one: AxisTask, quick: AxisTask, begin: Axis) 
             return shape, x
 
 
+def _simplest_near(trials: Sequence[tuple[AxisShape, Point]]) -> tuple[AxisShape, Point]:
+    """Of the axes within two percent of the least error, the one with the fewest parameters.
+
+    An overdamped resonance follows as closely as the low-pass that it stands for.
+    """
+    most = min(point.rms for _, point in trials) / (1.0 - FELT)
+    near = [trial for trial in trials if trial[1].rms <= most]
+    return min(near, key=lambda trial: (trial[0].parameters, trial[1].rms))
+
+
 def _with_both(one: AxisTask, shape: AxisShape, x: Array) -> tuple[AxisShape, Point] | None:
     """An axis with a low-pass, and a resonance that is found behind it."""
-    lagging = _with(one, replace(shape, resonance=False), x[2:], "lag")
-    return None if lagging is None else _with(one, lagging[0], lagging[1].x, "resonance")
+    lagging = with_step(one, replace(shape, resonance=False), x[2:], "lag")
+    return None if lagging is None else with_step(one, lagging[0], lagging[1].x, "resonance")
 
 
-def _with(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisShape, Point] | None:
+def with_step(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisShape, Point] | None:
     """An axis with one thing more, near the best place; None where the records are too short for any."""
     if step == "creep":
         larger, at = replace(shape, creep_modes=shape.creep_modes + 1), shape.parameters
@@ -263,10 +290,15 @@ def _with(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisSha
         added = resonances(*replace(one, shape=AxisShape()).limits)
     grown = replace(one, shape=larger)
     lower, upper = grown.limits
-    begins = [np.insert(x, at, more) for more in added]
-    begins = [x for x in begins if (lower <= x).all() and (x <= upper).all()]
-    if not begins:
-        return None
-    order = np.argsort([rms_behind(grown, x) for x in begins], kind="stable")
-    points = [refine(grown, begins[int(i)], SEARCHED) for i in order[:REFINED]]
-    return larger, min(points, key=lambda point: point.rms)
+
+    def begun(added: Sequence[Array]) -> list[Array]:
+        begins = [np.insert(x, at, more) for more in added]
+        return [x for x in begins if (lower <= x).all() and (x <= upper).all()]
+
+    begins = begun(added)
+    order = np.argsort([rms_behind(grown, x) for x in begins], kind="stable")[:REFINED]
+    nearest = [begins[i] for i in order]
+    if step == "resonance":
+        nearest += begun([np.log([hz, PEAK_DAMPING]) for hz in ringing_hz(replace(one, shape=shape), x)])
+    points = arrived(grown, nearest, SEARCHED)
+    return (larger, min(points, key=lambda point: point.rms)) if points else None

@@ -245,7 +245,8 @@ def record_flags(
 def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> Iterator[str]:
     """Records that begin at rest at equal voltages and positions, but in different states of the model.
 
-    Of the same state, the reading that belongs to an output of zero is the same.
+    Of the same state, the reading that belongs to an output of zero is the same. Only records that drive the
+    same inputs are compared: in what state an input is that a record holds still, it does not show.
 
     Parameters
     ----------
@@ -258,7 +259,9 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
     found = []
     for (i, one), (j, other) in itertools.combinations(zip(rested, still, strict=True), 2):
         moved_v = np.abs(given[i].u_v[:, 0] - given[j].u_v[:, 0])
-        alike = (moved_v <= AT_REST * swing_v).all() & (np.abs(one - other) <= rms_um)
+        driven = [np.ptp(given[k].u_v, axis=1) > AT_REST * swing_v for k in (i, j)]
+        comparable = bool((driven[0] == driven[1]).all() and (moved_v <= AT_REST * swing_v).all())
+        alike = (np.abs(one - other) <= rms_um) & comparable
         apart = np.abs(offsets_um[i] - offsets_um[j]) * alike / np.maximum(rms_um, np.finfo(float).tiny)
         o = int(np.argmax(apart))
         found.append((float(apart[o]), i, j, o))

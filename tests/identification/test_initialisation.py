@@ -35,7 +35,7 @@ def test_a_start_in_motion_is_decided_by_a_part_of_the_error_in_any_unit(monkeyp
     monkeypatch.setattr(initialisation, "_all_stepped_from", lambda end, records, starts: STEPPED)
     monkeypatch.setattr(initialisation, "judged_starts", lambda *args, **kwargs: STEPPED)
     monkeypatch.setattr(initialisation, "_creeping_guess", lambda q, s, g, o: (unit * left[s], g))
-    guess = SimpleNamespace(dynamics=lambda: NOTHING)
+    guess = SimpleNamespace(dynamics=NOTHING)
     told = initialisation.creeping_starts((None,), REST, guess, Settings(), lambda what: None)
     assert told == kept
 
@@ -45,16 +45,16 @@ def test_axes_are_guessed_with_the_starts_that_are_kept(monkeypatch, second):
     """Starts are found again behind the first axes; where they differ, so may the axes."""
     guessed_with = []
 
-    def guesses_of(records, starts, settings, tell):
+    def guess_of(records, starts, settings, tell):
         guessed_with.append(starts)
-        return (SimpleNamespace(dynamics=lambda: NOTHING, delay_samples=0, starts=starts),)
+        return SimpleNamespace(dynamics=NOTHING, delay_samples=0, starts=starts)
 
     def judged(records, predict, settle_s, mode):
         raise StopIteration
 
     monkeypatch.setattr(initialisation, "_FirstModels", Models)
     monkeypatch.setattr(initialisation, "_first_starts", lambda r, s, guess=None: second if guess else REST)
-    monkeypatch.setattr(initialisation, "guesses_of", guesses_of)
+    monkeypatch.setattr(initialisation, "guess_of", guess_of)
     monkeypatch.setattr(initialisation, "_left_by", lambda records, guess, s, starts: 0.0 if guess else 1.0)
     monkeypatch.setattr(initialisation, "judged_starts", judged)
     with pytest.raises(StopIteration):

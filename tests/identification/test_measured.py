@@ -69,15 +69,6 @@ def test_micromanipulator_moves_too_slowly_to_tell_a_resonance(micromanipulator)
 
 
 @needs_dbo
-def test_the_simplest_model_within_half_a_percent_of_the_best_is_kept(micromanipulator):
-    _, fit = identify(micromanipulator[0], Settings())
-    kept = next(trial for trial in fit.trials if trial.kept)
-    larger = next(trial for trial in fit.trials if trial.name == "initial thresholds, lag")
-    assert larger.percent < kept.percent < 1.005 * larger.percent
-    assert kept.parameters < larger.parameters
-
-
-@needs_dbo
 @pytest.mark.parametrize("operators", ["auto", 8, 10, 15])
 @pytest.mark.full
 def test_no_harmonic_of_the_single_rate_is_taken_for_a_resonance(micromanipulator, operators):

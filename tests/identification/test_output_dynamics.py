@@ -28,7 +28,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import several_rates
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask
-from hammerstein.identification.output_dynamics import _sure
+from hammerstein.identification.output_dynamics import sure_axis
 from hammerstein.identification.score import Candidate, SensorModel
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
@@ -334,7 +334,7 @@ def test_a_resonance_that_is_left_out_says_nothing_of_creep():
     record = Record(u, y + 0.005 * np.random.default_rng(1).standard_normal(y.shape), T)
     task = AxisTask((record,), (InitialState("rest"),), (R,), 0, AxisShape(creep_modes=1), 0.0, SensorModel())
     x = np.array([np.log(2.0 * np.pi * 3000.0), np.log(0.5), 0.05, np.log(0.15)])
-    fit = _sure(task, fit_axis(task, x), asked=False)
+    fit = sure_axis(task, fit_axis(task, x), asked=False)
     assert fit.axis.resonance_hz is None
     assert fit.unsure is None
 

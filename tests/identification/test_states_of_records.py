@@ -42,6 +42,15 @@ def test_one_state_that_is_two_for_the_model_is_a_flag(second, apart_um, flagged
         assert "6 um of y1 apart" in told[0]
 
 
+@pytest.mark.parametrize(("drives", "flagged"), [((0, 0), True), ((0, 1), False)])
+def test_an_input_that_rests_throughout_a_record_does_not_show_its_state(drives, flagged):
+    """Axes that are conditioned and then driven one at a time: plays of the other one stand anywhere."""
+    rows = [np.array([U, 0.0 * U])[:: 1 - 2 * k] for k in drives]
+    two = [Record(u, 0.5 * u, 1e-3, source=f"{i}.csv") for i, u in enumerate(rows)]
+    offsets_um = np.array([[-7.2, -0.1], [-0.1, -5.7]])
+    assert bool(list(state_flags(two, offsets_um, np.array([0.01, 0.01])))) == flagged
+
+
 TURNED = InitialState("turned", 0, ((50.0, 0.0),))
 
 

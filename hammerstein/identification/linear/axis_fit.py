@@ -11,21 +11,13 @@ from functools import partial
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.dynamics import AxesDynamics, Axis
+from hammerstein.dynamics import Axis
 from hammerstein.identification.excitation import drive_hz, lowest_hz, several_rates
-from hammerstein.identification.linear.axis_search import (
-    FirstGuess,
-    Point,
-    Progress,
-    fit_slopes,
-    refine,
-    residuals,
-)
+from hammerstein.identification.linear.axis_search import Point, fit_slopes, refine, residuals
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of
 from hammerstein.identification.model_selection import FELT, IMPROVED, lowers
 from hammerstein.identification.operators import input_grids
-from hammerstein.identification.score import SensorModel
-from hammerstein.identification.static.regressors import Filter, InitialState, SideBySide
+from hammerstein.identification.static.regressors import Filter, SideBySide
 from hammerstein.records.record import Record
 
 UNSURE_PERCENT = 5.0  # standard error of a resonance from which the records do not identify it
@@ -221,48 +213,3 @@ def _among_harmonics(task: AxisTask, point: Point) -> bool:
     """
     width_hz = math.exp(point.x[0]) * (NEAR - 1.0 / NEAR)
     return width_hz < 2.0 * min(lowest_hz(record) for record in task.records)
-
-
-@dataclass(frozen=True, eq=False)
-class AxesFit:
-    """Dynamics of all axes and the delay of the inputs."""
-
-    axes: tuple[AxisFit, ...]
-    delay_samples: float
-
-    def dynamics(self, sample_time_s: float) -> AxesDynamics:
-        """Return the linear block of the model."""
-        axes = tuple(fit.axis for fit in self.axes)
-        return AxesDynamics(axes=axes, input_delay_s=self.delay_samples * sample_time_s)
-
-
-def fit_axes(
-    records: Sequence[Record],
-    grids: Sequence[Array],
-    starts: Sequence[InitialState],
-    guess: FirstGuess,
-    *,
-    sensor: SensorModel | None = None,
-    every: int = 1,
-    progress: Progress | None = None,
-) -> AxesFit:
-    """Parameters of every axis, each with its own static block in front.
-
-    Parameters
-    ----------
-    records : all with the same axes; sample times may differ where there is no delay
-    grids : thresholds of each input [V]
-    starts : initial state of each record
-    guess : initial guess
-    sensor : model of the sensor; ideal if not given
-    every : of this many samples, one counts in the sums
-    progress : called with the current step
-    """
-    tell = progress or (lambda _: None)
-    known = tuple(records), tuple(starts), tuple(grids)
-    late = guess.delay_samples, sensor or SensorModel(), every
-    fits = []
-    for o, (shape, begin) in enumerate(zip(guess.shapes, guess.parameters, strict=True)):
-        tell(f"fitting the axis {records[0].outputs[o]}")
-        fits.append(fit_axis(AxisTask(*known, o, shape, *late), begin))
-    return AxesFit(tuple(fits), guess.delay_samples)
