@@ -164,21 +164,33 @@ def mistakes_of(error: ValidationError, model: type[BaseModel] | TypeAdapter[Any
 
 
 def with_nearest_kinds(data: Any, error: ValidationError) -> Any:
-    """A copy with the nearest known kind in each table whose kind is unknown: its other keys can be judged.
+    """A copy with the nearest known kind in each table whose kind, or its key, is unknown.
+
+    Its other keys can be judged then.
 
     data : what was validated, as JSON holds it; error : what pydantic found
     """
     copy = json.loads(json.dumps(data, default=str))
     for finding in error.errors():
-        if finding["type"] != "union_tag_invalid":
+        if finding["type"] not in ("union_tag_invalid", "union_tag_not_found"):
             continue
         node = copy
         for part in finding["loc"]:
             if isinstance(part, int) or part in node:  # it is not the tag of a union
                 node = node[part]
+        key = _tag_key(finding)
+        if finding["type"] == "union_tag_not_found":
+            for meant in nearest(key, node) if isinstance(node, dict) else ():
+                node[key] = node.pop(meant)
+            continue
         for near in nearest(finding["ctx"]["tag"], _tags(finding)):
-            node[finding["ctx"]["discriminator"].strip("'")] = near
+            node[key] = near
     return copy
+
+
+def _tag_key(finding: Mapping[str, Any]) -> str:
+    """Key that says what kind of table this is."""
+    return str(finding["ctx"]["discriminator"]).strip("_()'").replace("'", "")
 
 
 def _tags(finding: Mapping[str, Any]) -> list[str]:
@@ -222,8 +234,7 @@ def suggestion(name: str, names: Iterable[str]) -> str:
 
 def _where(finding: dict[str, Any], place: Place) -> str:
     if finding["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        tag = finding["ctx"]["discriminator"].strip("_()'").replace("'", "")
-        return f"{place.path}.{tag}".lstrip(".")
+        return f"{place.path}.{_tag_key(finding)}".lstrip(".")
     return place.path
 
 
@@ -233,7 +244,11 @@ def _mistake(where: str, findings: Sequence[dict[str, Any]], schema: Schema) -> 
     kind = first["type"]
     if kind == "extra_forbidden":
         return Mistake(where, _unknown_key(str(first["loc"][-1]), first["place"], schema))
-    if kind in ("missing", "union_tag_not_found"):
+    if kind == "union_tag_not_found":
+        given = first["input"] if isinstance(first["input"], Mapping) else {}
+        meant = "".join(f"; is {key} meant for it?" for key in nearest(_tag_key(first), map(str, given)))
+        return Mistake(where, f"is missing{meant}")
+    if kind == "missing":
         return Mistake(where, "is missing")
     if kind == "union_tag_invalid":
         context = first["ctx"]

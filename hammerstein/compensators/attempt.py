@@ -259,7 +259,7 @@ class Prediction:
         else:
             where = "validation" if self.validated else "fitted"
             largest = 0.0 if self.largest is None else self.largest[o]
-            most = f", at most {largest:.2g}" if largest > self.model[o] else ""
+            most = f", largest {largest:.2g}," if largest > self.model[o] else ""
             parts.append(f"model {self.model[o]:.2g}{most} on {where} records")
             more = " plus an untested constant offset" if self.rest is None else ""
         parts += ["rest position untested"] if self.rest is None else [f"rest position {self.rest[o]:.2g}"]

@@ -157,11 +157,11 @@ class Compensation(Attempt):
         """Say that the range limits the drive, and by how much less than the model errs."""
         lead, limited = self.lead, self.shortfall.at_range.any(axis=0)
         if limited[lead:].any():
-            return "The drive reaches the limit of its range; this adds less error than the model has."
+            return "The drive reaches the limit of its range; the error that this adds is below the model's."
         most = f"{np.abs(self.shortfall.error_um[:, :lead]).max():.2g} um"
         return (
-            f"The range limits the lead-in, by up to {most}; on the path, it adds less error than the model "
-            "has."
+            f"The range limits the lead-in, by up to {most}; the error that this adds on the path is below "
+            "the model's."
         )
 
     @cached_property

@@ -168,10 +168,10 @@ class IlcUpdate:
         if self.worse:
             return f"{found} Stop: the drive of the previous trial is kept."
         if self.finished and self.unsure:
-            lines = number_of(self.unsure, "line")
+            lines = number_of(self.unsure, "spectral line")
             where = f" from {self.limit_hz:.4g} Hz" if self.limit_hz else ""
             return (
-                f"{found} Keep this drive: an error remains at {lines} of the spectrum, but the model is too "
+                f"{found} Keep this drive: an error remains at {lines}, but the model is too "
                 f"uncertain{where} to learn from it. Use a better model, or state a smaller uncertainty."
             )
         if self.finished:
@@ -179,11 +179,13 @@ class IlcUpdate:
         limit = (
             "" if np.isinf(self.limit_hz) else f" Above {self.limit_hz:.4g} Hz the model is too uncertain."
         )
-        lines = number_of(self.learnt, "line")
+        lines = number_of(self.learnt, "spectral line")
+        left = f"at most {100.0 * self.slowest:.2g} % of the error there remains after the next trial"
+        if self.slowest >= 1.0:
+            left = "the error there can still grow"
         return (
-            f"{found} Go on: play the new drive, corrected at {lines} of the spectrum. If the actuator is "
-            f"within the stated deviations of its model, at most {self.slowest:.2g} of the error at these "
-            f"lines remains after the next trial.{limit}"
+            f"{found} Go on: play the new drive, corrected at {lines}. If the actuator is within the stated "
+            f"deviations of its model, {left}.{limit}"
         )
 
 

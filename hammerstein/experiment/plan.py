@@ -184,8 +184,8 @@ def plan_of(scenario: Scenario, jobs: int = 1, timed: bool = True) -> Plan:
     parts = [*identified, *_runs(scenario, plant, jobs, timed)]
     if identified and scenario.assessment is not None and scenario.assessment.runs:
         seconds = scenario.assessment.runs * sum(part.seconds for part in identified)
-        words = "the identifications of other actuators in its [assessment]"
-        parts.append(Part(words, 0.0, seconds, "the actuators in [assessment]"))
+        words = "the identification of the other actuators in [assessment]"
+        parts.append(Part(words, 0.0, seconds, "the number of actuators in [assessment]"))
     return Plan(tuple(replace(part, seconds=factor * part.seconds) for part in parts))
 
 

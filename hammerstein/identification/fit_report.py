@@ -100,7 +100,8 @@ def fit_of(
     named = faults_left(best, task.records, task.starts)
     flags, plain = flags_of(task, built, named), PLAYS_ALONE in built.notes
     zeros_um = offsets(best, task.records, task.starts)
-    flags += state_flags(prepared.given, np.array(zeros_um), np.array(fitted[built.kind].rms_um))
+    rms_um, asked = np.array(fitted[built.kind].rms_um), settings.start_mode != "auto"
+    flags += state_flags(prepared.given, np.array(zeros_um), rms_um, chosen=not asked)
     where = (held, held_starts) if held else (task.records, task.starts)
     residual = [*residual_statements(best, *where, settings)]
     swing = half_swing(task.records)

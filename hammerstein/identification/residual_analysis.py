@@ -242,7 +242,9 @@ def record_flags(
             )
 
 
-def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> Iterator[str]:
+def state_flags(
+    given: Sequence[Record], offsets_um: Array, rms_um: Array, *, chosen: bool = True
+) -> Iterator[str]:
     """Records that begin at rest at equal voltages and positions, but in different states of the model.
 
     Of the same state, the reading that belongs to an output of zero is the same. Only records that drive the
@@ -252,6 +254,7 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
     ----------
     given : records as they were given
     offsets_um : (record, output) that reading [um]; rms_um : (output,) error of the model [um]
+    chosen : whether the initial states were chosen by the identification, not given
     """
     rested = [i for i, record in enumerate(given) if begins_at_rest(record)]
     still = [given[i].y_um[:, : dead_start(given[i]) + 1].mean(axis=1) for i in rested]
@@ -268,11 +271,12 @@ def state_flags(given: Sequence[Record], offsets_um: Array, rms_um: Array) -> It
     worst, i, j, o = max(found, default=(0.0, 0, 0, 0))
     if worst > OTHER_STATE:
         names = [PurePath(given[k].source).name for k in (i, j)]
+        apart_um = abs(offsets_um[i, o] - offsets_um[j, o])
+        remedy = ". If the actuator was never driven before, use --start rest" if chosen else ""
         yield (
-            f"{names[0]} and {names[1]} begin at rest at the same voltages and positions, but in states that "
-            f"are {abs(offsets_um[i, o] - offsets_um[j, o]):.3g} um of {given[0].outputs[o]} apart for the "
-            "model: it is wrong about one of them, unless the sensor was set to zero in between. If the "
-            "actuator rested without history, --start rest says so"
+            f"{names[0]} and {names[1]} begin at rest at the same voltages and positions, but the model "
+            f"assumes initial states that differ by {apart_um:.3g} um of {given[0].outputs[o]}: one of them "
+            f"is wrong, unless the sensor was set to zero in between{remedy}"
         )
 
 

@@ -87,11 +87,18 @@ def _described(name: str, variable: Variable) -> str:
     if not shape:
         return "a single number"
     longest = int(np.argmax(shape))
-    limits = ":".join(f"(1 to {n})" for axis, n in enumerate(shape) if axis != longest)
-    column = f"{name}:{limits}" if name and limits else limits or name
+    column = _columns_of(name, [n for axis, n in enumerate(shape) if axis != longest])
     unit = f" in {variable.unit}" if variable.unit else ""
     columns = f"; its columns are {column}" if column else ""
     return f"{shape[longest]} samples{unit}{columns}"
+
+
+def _columns_of(name: str, sizes: Sequence[int]) -> str:
+    """First and last column of an array with these axes beside the longest, as a person writes them."""
+    ends = [
+        ":".join([*([name] if name else []), *map(str, numbers)]) for numbers in ([1] * len(sizes), sizes)
+    ]
+    return " to ".join(dict.fromkeys(ends))
 
 
 def whole_array(path: Path, variable: str) -> Array:
@@ -165,9 +172,7 @@ def _column(array: Array, column: str, numbers: Sequence[int]) -> Array:
     if not sizes and list(numbers) == [1]:
         return array
     if len(numbers) != len(sizes) or not all(1 <= n <= s for n, s in zip(numbers, sizes, strict=True)):
-        name = _parsed(column)[0]
-        limits = ":".join(f"(1 to {size})" for size in sizes) or "the name alone"
-        wanted = f"{name}:{limits}" if name and sizes else limits
+        wanted = _columns_of(_parsed(column)[0], sizes) or "the name alone"
         raise InputError("file", f"does not fit an array of {array.shape[-1]} samples; write {wanted}")
     return np.asarray(array[tuple(n - 1 for n in numbers)])
 

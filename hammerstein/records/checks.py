@@ -91,9 +91,9 @@ def still_mistakes(names: Sequence[str], values: Array, rows: Indices, kind: str
 def still_mistake(place: str, column: Array, kind: str) -> Mistake:
     """Mistake for a constant column."""
     remedy = (
-        "add a record that drives it, or remove it from --inputs"
+        "add a record that drives it, or name only the driven inputs with --inputs"
         if kind == "input"
-        else "check the sensor and its cable, or remove it from --outputs"
+        else "check the sensor and its cable, or name only the outputs that move with --outputs"
     )
     return Mistake(place, f"constant {kind}, always {column[0]:.9g}; {remedy}")
 

@@ -94,5 +94,6 @@ def next_command(found: Comparison, folder: Path) -> str:
     """Command that compensates with the recommended model; empty without an inverse."""
     chosen = found[found.recommended]
     law = chosen.left.law
-    words = ("compensate", str(folder / chosen.file), "path.csv", "--law", law, "--out", "drive.csv")
+    words = ["compensate", str(folder / chosen.file), "path.csv", "--law", law, "--out", "drive.csv"]
+    words += ["--accept-flagged"] * bool(chosen.flags)
     return f"hammerstein {shlex.join(words)}" if law else ""

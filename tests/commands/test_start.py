@@ -362,12 +362,12 @@ def test_show_lists_the_arrays_of_a_file_and_how_their_columns_are_named(
     np.save(tmp_path / "one.npy", np.zeros((40, 3, 2)))
     assert call("show", tmp_path / "both.npz", "--json") == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["u"] == "40 samples; its columns are u:(1 to 2)"
+    assert found["u"] == "40 samples; its columns are u:1 to u:2"
     assert found["t"] == "40 samples; its columns are t"
     assert found["gain"] == "a single number"
     assert array_columns(tmp_path / "both.npz", ["u:2", "t"])[0].shape == (2, 40)
     assert call("show", tmp_path / "one.npy") == 0
-    assert "40 samples; its columns are (1 to 3):(1 to 2)" in capsys.readouterr().out
+    assert "40 samples; its columns are 1:1 to 3:2" in capsys.readouterr().out
     assert array_columns(tmp_path / "one.npy", ["3:2"])[0].shape == (1, 40)
 
 

@@ -281,7 +281,8 @@ def test_a_miss_below_the_models_own_error_is_held_at_the_range(tmp_path, capsys
     path = _path(tmp_path, x)
     assert _call("compensate", "stage.json", path, "--law", "exact_inverse") == 0
     assert (
-        "reaches the limit of its range; this adds less error than the model has" in capsys.readouterr().out
+        "reaches the limit of its range; the error that this adds is below the model"
+        in capsys.readouterr().out
     )
     far = _path(tmp_path, x - 0.5, "far.csv")
     assert _call("compensate", "stage.json", far, "--law", "exact_inverse", "--out", "far_drive.csv") == 3
@@ -543,11 +544,27 @@ def test_an_untested_rest_position_is_no_part_of_the_expected_error():
     """An actuator that began elsewhere missed by 0.94 um where 0.13 um was expected."""
     known = Prediction(np.zeros(1), np.zeros(1), np.array([0.13]), np.ones(1), True, None, np.zeros(1), 0.0)
     assert "x 0.13 um plus an untested constant offset (path 0, " in known.statement(("x",))
-    assert "model 0.13, at most 1 on validation records" in known.statement(("x",))
+    assert "model 0.13, largest 1, on validation records" in known.statement(("x",))
     noise = dataclasses.replace(known, largest=np.array([-0.02]))  # less than noise alone makes
     assert "model 0.13 on validation records" in noise.statement(("x",))
     path = dataclasses.replace(known, path=np.array([1.2e-5])).statement(("x",))
     assert "(path 0.00001, " in path
+
+
+def test_the_converters_step_is_given_by_an_option(tmp_path, capsys, monkeypatch):
+    """Rounding of 0.1 V is uniform: 0.1 / sqrt(12) V rms, times a gain of 1 um/V less 10 um of hysteresis."""
+    monkeypatch.chdir(tmp_path)
+    _stage(tmp_path)
+    path = _path(tmp_path, 10.0 * smooth_step(np.arange(800) / 700.0))
+    asked = ["compensate", "stage.json", path, "--law", "exact_inverse", "--overwrite", "--json"]
+    assert _call(*asked, "--converter-step", "0.1") == 0
+    expected = json.loads(capsys.readouterr().out)["axes"]["x"]["expected_error"]
+    assert expected["converter_um"] == pytest.approx(0.1 / np.sqrt(12.0), rel=0.1)
+    volts = np.genfromtxt("drive.csv", names=True, delimiter=",", comments="#")["drive_u_v"]
+    assert np.ptp(volts) > 5.0
+    np.testing.assert_allclose(volts / 0.1, np.round(volts / 0.1), atol=1e-9)
+    assert _call(*asked, "--converter-step", "-1") == 2
+    assert "--converter-step: must be at least 0 V" in capsys.readouterr().err
 
 
 def test_the_largest_error_of_a_model_is_what_noise_alone_does_not_make():
@@ -558,4 +575,4 @@ def test_the_largest_error_of_a_model_is_what_noise_alone_does_not_make():
     model = dataclasses.replace(HammersteinModel.load("duo_bimorph_static"), verdict=known)
     prediction = model.compensate(np.zeros((2, 100))).prediction
     np.testing.assert_allclose(prediction.largest, [0.2 - 4.5 * 0.01, 0.04 - 4.5 * 0.01], atol=1e-12)
-    assert "model 0.049, at most 0.16 on validation records" in prediction.statement(("x", "y"))
+    assert "model 0.049, largest 0.16, on validation records" in prediction.statement(("x", "y"))

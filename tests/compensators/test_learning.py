@@ -141,7 +141,7 @@ def test_from_where_on_the_model_is_too_unsure_is_told(model, law):
     taught = ilc_update(model, law, path, centred(law, model, path)[0], np.tile(0.9 * path, 3), uncertainty)
     assert taught.limit_hz == first
     assert f"Above {first:.4g} Hz the model is too uncertain." in taught.statement()
-    assert f"Go on: play the new drive, corrected at {taught.learnt} lines" in taught.statement()
+    assert f"Go on: play the new drive, corrected at {taught.learnt} spectral lines" in taught.statement()
 
 
 def test_what_an_uncertain_model_leaves_is_not_called_noise(model, law):
@@ -154,7 +154,7 @@ def test_what_an_uncertain_model_leaves_is_not_called_noise(model, law):
     assert taught.learnt == 0
     assert taught.unsure == 2  # the line of each axis
     assert "noise remains" not in taught.statement()
-    assert "error remains at 2 lines of the spectrum, but the model is too uncertain" in taught.statement()
+    assert "error remains at 2 spectral lines, but the model is too uncertain" in taught.statement()
     np.testing.assert_array_equal(taught.drive_v, drive)
 
 
@@ -414,7 +414,7 @@ def test_the_command_learns_from_files(tmp_path, model, capsys):
     assert rms(model.gain(5.0) @ by_two) < 0.1 * rms(model.gain(5.0) @ (plain - before))
     led = ("--learn", drive, measured, "--lead-in", "--out", tmp_path / "no.csv")
     assert _call("compensate", "duo_bimorph", path, *led) == 2
-    assert "not with --cycle, --table or --learn" in capsys.readouterr().err
+    assert "leave it out with --cycle, --table or --learn" in capsys.readouterr().err
     wrong = ("--learn", path, measured, "--out", tmp_path / "no.csv")
     assert _call("compensate", "duo_bimorph", path, *wrong) == 2
     assert "drive_x_v" in capsys.readouterr().err

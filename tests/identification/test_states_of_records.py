@@ -39,7 +39,10 @@ def test_one_state_that_is_two_for_the_model_is_a_flag(second, apart_um, flagged
     assert len(told) == flagged
     if flagged:
         assert told[0].startswith("a.csv and b.csv begin at rest at the same voltages and positions")
-        assert "6 um of y1 apart" in told[0]
+        assert "initial states that differ by 6 um of y1" in told[0]
+        assert "--start rest" in told[0]
+        given = [record("a"), second], np.array([[1.0], [1.0 + apart_um]]), np.array([1.0])
+        assert "--start" not in next(state_flags(*given, chosen=False))  # it was given
 
 
 @pytest.mark.parametrize(("drives", "flagged"), [((0, 0), True), ((0, 1), False)])

@@ -325,7 +325,7 @@ class TestFiles:
         (record,) = read(tmp_path / "a.npz", inputs=["u:2:3"])
         np.testing.assert_array_equal(record.u_v[0], U)
         text = message(read, tmp_path / "a.npz", inputs=["u:2"], outputs=["y"])
-        assert "column u:2  does not fit an array of 400 samples; write u:(1 to 2):(1 to 3)" in text
+        assert "column u:2  does not fit an array of 400 samples; write u:1:1 to u:2:3" in text
         assert "column y    there is no variable y; it has u, x" in text
         assert "several variables" in message(read, tmp_path / "a.npz", inputs=["1"])
 

@@ -118,11 +118,23 @@ def test_a_mistake_says_where_the_key_belongs(tmp_path, old, new, where, what):
             {"compensators[2].law", "compensators[2].iteratons"},
         ),
         ('kind = "sine"\namplitude_um = 10', 'kind = "zzz"\namplitude_um = -10', {"reference.kind"}),
+        (
+            'kind = "sine"\namplitude_um = 10',
+            'knid = "sine"\namplitude_um = -10',
+            {"reference.kind", "reference.amplitude_um"},
+        ),
     ],
 )
 def test_a_misspelt_kind_hides_no_other_mistake(tmp_path, old, new, wanted):
     """The other keys of its table are judged as those of the nearest kind; where none is near, they wait."""
     assert set(_mistakes(tmp_path, old, new)) == wanted
+
+
+def test_a_misspelt_key_of_a_kind_is_named(tmp_path):
+    path = tmp_path / "sine.toml"
+    path.write_text(SINE.replace('kind = "sine"', 'knid = "sine"'))
+    with pytest.raises(InputError, match=r"reference\.kind  is missing; is knid meant for it\?"):
+        load_scenario(path)
 
 
 def test_a_misspelt_actuator_stands_with_the_other_mistakes(tmp_path):

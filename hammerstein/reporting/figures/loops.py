@@ -228,7 +228,7 @@ def loops_of_records(records: Sequence[Record], tables: Sequence[Sequence[Loop]]
         whose = f", {name}" if len(records) > 1 else ""
         for loop in chosen_loops(table):
             part, k = slice(loop.start, loop.stop + 1), record.inputs.index(loop.input)
-            label = f"{loop.amplitude_v:.3g} V{whose}"
+            label = f"swing {2.0 * loop.amplitude_v:.3g} V{whose}"
             runs.append(LoopRun(label, k, record.u_v[k, part], record.y_um[:, part]))
         if not table and move_at_once(record):
             for k in driven_inputs(record):
