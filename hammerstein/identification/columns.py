@@ -23,7 +23,7 @@ from hammerstein.identification.score import ranges
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, left_out, ridge_penalty
 from hammerstein.identification.static.static_block import SlopeColumns, Thresholds, swing_ends
-from hammerstein.identification.static.threshold_exchange import price
+from hammerstein.identification.static.threshold_search import price
 from hammerstein.identification.task import Task
 
 T = TypeVar("T")

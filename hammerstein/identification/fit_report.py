@@ -15,7 +15,6 @@ from hammerstein.hysteresis.asymmetric import PLAYS_ALONE
 from hammerstein.identification.excitation import excitation_statements
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.axis_fit import SURE_CREEP, UNSURE_LAG_PERCENT, AxisFit
-from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.model_selection import IMPROVED, NO_BETTER, Trial, lowers
 from hammerstein.identification.operators import CurvePoint
 from hammerstein.identification.options import PLAYS
@@ -29,6 +28,7 @@ from hammerstein.identification.residual_analysis import (
     untried,
 )
 from hammerstein.identification.score import Candidate, Score, invertibility_of, rest_errors
+from hammerstein.identification.search import delay_in_samples
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.identification.task import CandidateSet, FittedModel, Task

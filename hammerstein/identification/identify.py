@@ -8,7 +8,6 @@ import numpy as np
 
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification.axes_candidates import build_axes
 from hammerstein.identification.excitation import (
     counted,
     refuse_noise,
@@ -23,12 +22,12 @@ from hammerstein.identification.kinds import with_hysteresis
 from hammerstein.identification.model_selection import Trial, chosen, trial_of
 from hammerstein.identification.options import PLAYS, identifiable_kinds
 from hammerstein.identification.parameter_covariance import parameter_covariance
+from hammerstein.identification.play_candidates import build_axes, build_static
 from hammerstein.identification.score import Score, SensorModel, score
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import build_state_space
 from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.static_candidates import build_static
 from hammerstein.identification.task import CandidateSet, FittedModel, Progress, Task
 from hammerstein.model import HammersteinModel
 from hammerstein.records.gains import refuse_swapped

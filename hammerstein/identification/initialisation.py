@@ -6,10 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hammerstein.dynamics import StaticDynamics
-from hammerstein.identification.axes_candidates import guess_of
 from hammerstein.identification.linear.axis_search import ROUGHLY, refine, thinning
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, parameters_of
-from hammerstein.identification.linear.delay import TINY
 from hammerstein.identification.operators import (
     CURVE_SAMPLES,
     CurvePoint,
@@ -18,7 +16,9 @@ from hammerstein.identification.operators import (
     input_grids,
 )
 from hammerstein.identification.output_dynamics import OutputDynamics, with_step
+from hammerstein.identification.play_candidates import guess_of, late_static
 from hammerstein.identification.score import Candidate
+from hammerstein.identification.search import TINY
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import (
     ENDS,
@@ -38,7 +38,6 @@ from hammerstein.identification.static.static_block import (
     solve_static,
     static_moments,
 )
-from hammerstein.identification.static_candidates import late_static
 from hammerstein.identification.task import Progress, Task
 from hammerstein.records.record import Record
 

@@ -12,13 +12,11 @@ import numpy as np
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Identifiable
-from hammerstein.identification.axes_candidates import WORTHWHILE
 from hammerstein.identification.columns import NEAR, chosen_columns, driven_of, error_left_out, few_places
 from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_task import parameters_of as axis_parameters
-from hammerstein.identification.linear.delay import MOST_DELAY, WORSE_DELAYS
 from hammerstein.identification.model_selection import Trial, chosen, enough_readings, lowers, trial_of
 from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import (
@@ -26,8 +24,10 @@ from hammerstein.identification.output_dynamics import (
     search_output_dynamics,
     sure_output_dynamics,
 )
+from hammerstein.identification.play_candidates import WORTHWHILE, begun_static
 from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
 from hammerstein.identification.score import Candidate, score
+from hammerstein.identification.search import MOST_DELAY, WORSE_DELAYS
 from hammerstein.identification.static.initial_state import (
     FEWEST,
     Predict,
@@ -40,8 +40,7 @@ from hammerstein.identification.static.initial_state import (
 )
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import Thresholds
-from hammerstein.identification.static.threshold_exchange import price
-from hammerstein.identification.static_candidates import begun_static
+from hammerstein.identification.static.threshold_search import price
 from hammerstein.identification.task import CandidateSet, FittedModel, Task, thresholds_of
 
 WITHOUT_PLAYS = ("linear", "linear_dynamics")

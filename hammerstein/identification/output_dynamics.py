@@ -37,9 +37,9 @@ from hammerstein.identification.linear.axis_task import (
     duration_s,
     parameters_of,
 )
-from hammerstein.identification.linear.delay import TINY, best_delay
 from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.score import columns_of
+from hammerstein.identification.search import TINY, best_delay
 from hammerstein.identification.static.regressors import Regressors
 from hammerstein.identification.task import Task
 

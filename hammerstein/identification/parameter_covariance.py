@@ -53,7 +53,7 @@ from hammerstein.identification.model_selection import behind_path
 from hammerstein.identification.score import Candidate, columns_of
 from hammerstein.identification.static.regressors import InitialState, Regressors
 from hammerstein.identification.static.static_block import half_swing, swing_ends
-from hammerstein.identification.static.threshold_exchange import price
+from hammerstein.identification.static.threshold_search import price
 from hammerstein.model.covariance import ParameterCovariance, beside_weights, with_beside_weights
 from hammerstein.records.record import Record
 

@@ -32,7 +32,7 @@ from hammerstein.identification.linear.axis_search import thinning
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, ByColumn, axis_of, parameters_of
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import bends_of, columns_of
-from hammerstein.identification.static.damped_search import Damping, damped_change, steps
+from hammerstein.identification.search import Damping, damped_change, steps
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import (
     Bounds,

@@ -11,9 +11,9 @@ from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.coupled import fit_linear, fit_static_coupled, refit_linear
 from hammerstein.identification.model_selection import FELT, lowers
+from hammerstein.identification.play_candidates import build_static, without_dynamics
 from hammerstein.identification.score import Candidate, score
 from hammerstein.identification.static.static_block import SquaresSolver
-from hammerstein.identification.static_candidates import build_static, without_dynamics
 from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
 
 MOST_ROUNDS = 8

@@ -14,8 +14,8 @@ from hammerstein.dynamics import Dynamics, LinearBlock
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_fit import AxisFit
-from hammerstein.identification.linear.delay import delay_in_samples
 from hammerstein.identification.score import Candidate
+from hammerstein.identification.search import delay_in_samples
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit, Thresholds

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hammerstein.identification.identify import identify
-from hammerstein.identification.linear.delay import best_delay
+from hammerstein.identification.search import best_delay
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 

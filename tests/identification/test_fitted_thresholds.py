@@ -17,8 +17,14 @@ from hammerstein.identification.operators import input_grids
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import BLOCK, InitialState, regressor_blocks
 from hammerstein.identification.static.static_block import fit_static
-from hammerstein.identification.static.threshold_exchange import _sweep, exchanged, finer
-from hammerstein.identification.static.threshold_search import ThresholdTask, fit_thresholds, place_at
+from hammerstein.identification.static.threshold_search import (
+    ThresholdTask,
+    _sweep,
+    exchanged,
+    finer,
+    fit_thresholds,
+    place_at,
+)
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.signals import Multisine

@@ -18,9 +18,9 @@ from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinski
 from hammerstein.identification import kinds
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import FittedBlock, HammersteinFit, trials_of
-from hammerstein.identification.linear.delay import MOST_DELAY
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import Candidate
+from hammerstein.identification.search import MOST_DELAY
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.identification.task import Task

@@ -12,8 +12,7 @@ from scipy.signal import cont2discrete, lfilter
 from theory_linear import second_order_step
 
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
-from hammerstein.identification import axes_candidates
-from hammerstein.identification.axes_candidates import dynamics_of, fit_axes
+from hammerstein.identification import play_candidates
 from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit_report import axis_statements
 from hammerstein.identification.identify import identify
@@ -21,9 +20,10 @@ from hammerstein.identification.linear import axis_search
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_search import refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
-from hammerstein.identification.linear.delay import _part_of_a_sample
 from hammerstein.identification.output_dynamics import OutputDynamics
+from hammerstein.identification.play_candidates import dynamics_of, fit_axes
 from hammerstein.identification.score import SensorModel
+from hammerstein.identification.search import _part_of_a_sample
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
@@ -89,7 +89,7 @@ def guessed(records, delay_samples=0, dynamics="second_order"):
         dynamics=dynamics, sensor_bandwidth_hz=SENSOR_HZ, delay_samples=delay_samples, error_curve=False
     )
     starts = (InitialState("rest"),) * len(records)
-    guess = axes_candidates.guess_of(records, starts, given, lambda _: None)
+    guess = play_candidates.guess_of(records, starts, given, lambda _: None)
     return guess, Task(tuple(records), starts, [[R] * 2] * 2, guess.delay_samples, given, lambda _: None)
 
 
@@ -137,7 +137,7 @@ def test_search_needs_no_starting_values(axes):
 
 
 def test_a_resonance_is_found_that_shows_only_late_in_long_records(monkeypatch):
-    for module, name in ((axes_candidates, "GUESS_SAMPLES"), (axis_search, "COUNTED_SAMPLES")):
+    for module, name in ((play_candidates, "GUESS_SAMPLES"), (axis_search, "COUNTED_SAMPLES")):
         monkeypatch.setattr(module, name, getattr(module, name) // 4)  # what is long, in less time
     slow, generator, records = 10_000, np.random.default_rng(4), []
     for k in range(2):
@@ -407,12 +407,12 @@ def test_a_delay_that_lowers_no_error_by_two_percent_is_left_out(monkeypatch, ou
         blocks = SimpleNamespace(chosen=SimpleNamespace(rms_um=rms_um))
         return SimpleNamespace(best=SimpleNamespace(blocks=blocks), delay=delay)
 
-    monkeypatch.setattr(axes_candidates, "_built_with", built)
+    monkeypatch.setattr(play_candidates, "_built_with", built)
     u = np.sin(np.arange(100.0) / 9.0)
     record = Record([u], [u] * outputs, T)
     task = Task((record,), (InitialState("rest"),), [[R]] * outputs, 1.0, Settings(), lambda _: None)
     guess = OutputDynamics((Axis(lag_s=1e-3),) * outputs, 1.0)
-    assert bool(axes_candidates.build_axes(task, guess).delay) == late
+    assert bool(play_candidates.build_axes(task, guess).delay) == late
 
 
 def crowded(noise, seed=0):
@@ -452,7 +452,7 @@ def test_a_first_turn_without_an_inverse_does_not_end_the_fit(monkeypatch):
         asked.append(1)
         return len(asked) == 1
 
-    monkeypatch.setattr(axes_candidates, "lost_inverse", lost)
+    monkeypatch.setattr(play_candidates, "lost_inverse", lost)
     given = Settings(operators=20, dynamics="second_order", sensor_bandwidth_hz=SENSOR_HZ)
     _, fit = identify(crowded(0.05, 1), given.changed(creep_modes=0, delay_samples=0))
     assert len(asked) > 1
@@ -466,7 +466,7 @@ def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch)
         calls.append(rounds)
         return thresholds_v
 
-    monkeypatch.setattr(axes_candidates, "fitted_thresholds", nothing_gained)
+    monkeypatch.setattr(play_candidates, "fitted_thresholds", nothing_gained)
     records = [Record(r.u_v[:1], r.y_um[:1], T) for r in campaign(0.01, frequencies=(30.0, 250.0))[:2]]
     given = Settings(
         partition="fitted",
@@ -477,4 +477,4 @@ def test_turns_that_gain_nothing_end_the_fit_of_thresholds_and_axes(monkeypatch)
         error_curve=False,
     )
     identify(records, given)
-    assert len(calls) < axes_candidates.MOST_TURNS
+    assert len(calls) < play_candidates.MOST_TURNS

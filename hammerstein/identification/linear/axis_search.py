@@ -32,7 +32,7 @@ from hammerstein.identification.linear.axis_task import (
     ByColumn,
     OfSum,
 )
-from hammerstein.identification.static.damped_search import Damping, damped_change, steps
+from hammerstein.identification.search import Damping, damped_change, steps
 from hammerstein.identification.static.normal_equations import coefficients, squares_left
 from hammerstein.identification.static.regressors import SideBySide
 from hammerstein.records.record import Record

@@ -19,7 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from hammerstein.arrays import Array, Complex
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.linear.frequency_response import FrequencyResponse
-from hammerstein.identification.static.damped_search import Damping, steps
+from hammerstein.identification.search import Damping, steps
 
 Weighting = Literal["power", "variance"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from hammerstein.identification.static.damped_search import Damping, damped_change, steps
+from hammerstein.identification.search import Damping, damped_change, steps
 
 
 def left(x):
