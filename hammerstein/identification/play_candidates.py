@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis, Dynamics, StaticDynamics
@@ -211,9 +212,8 @@ def build_axes(task: Task, guess: OutputDynamics) -> CandidateSet:
     task.progress("trying the model without delay")
     settings = task.settings.changed(delay_samples=0)
     other = _built_with(replace(task, settings=settings), guess._replace(delay_samples=0.0))
-    rms = [np.maximum(one.best.blocks.chosen.rms_um, TINY) for one in (built, other)]
-    left, without = (float(np.log(one).sum()) for one in rms)  # multiplied over the outputs
-    return built if left < without + task.outputs * math.log(1.0 - FELT) else other
+    rms = [one.best.blocks.chosen.rms_um for one in (built, other)]
+    return built if _is_late(*rms) else other
 
 
 def _built_with(task: Task, guess: OutputDynamics) -> CandidateSet:
@@ -259,7 +259,10 @@ def _built_with(task: Task, guess: OutputDynamics) -> CandidateSet:
 def guess_of(
     records: Sequence[Record], starts: Sequence[InitialState], settings: Settings, tell: Progress
 ) -> OutputDynamics:
-    """Axes near the best ones, and the delay, from the liveliest parts of the records."""
+    """Axes near the best ones, and the delay, from the liveliest parts of the records.
+
+    A low-pass beside a resonance looks like a delay. It is tried in place of one that was found.
+    """
     quick, begun = most_dynamic_segment(records, starts, GUESS_SAMPLES)
     row = input_grids(quick, GUESS_OPERATORS, "voltage")
     thresholds_v = [list(row) for _ in quick[0].y_um]
@@ -268,7 +271,24 @@ def guess_of(
     plays = fit_static(quick, thresholds_v, solver="least_squares", starts=begun, delay_samples=late)
     free = settings.delay_samples is None and len({record.sample_time_s for record in records}) == 1
     begin = OutputDynamics((), late)
-    return search_output_dynamics(task, plays.hysteresis, begin, free, one_fast=True)
+    found = search_output_dynamics(task, plays.hysteresis, begin, free, one_fast=True)
+    if not free or found.delay_samples == 0.0:
+        return found
+    prompt = search_output_dynamics(task, plays.hysteresis, found._replace(delay_samples=0.0))
+    rms = [[fit.rms_um for fit in _fits_of(task, one)] for one in (found, prompt)]
+    return found if _is_late(*rms) else prompt
+
+
+def _fits_of(task: Task, guess: OutputDynamics) -> tuple[AxisFit, ...]:
+    """Guessed axes fitted with the delay guessed."""
+    late = replace(task, delay_samples=guess.delay_samples)
+    return fit_axes(late, task.thresholds_v, guess.axes, thinning(task.records))
+
+
+def _is_late(rms_um: ArrayLike, prompt_um: ArrayLike) -> bool:
+    """Whether a delay lowers the rms errors, in their geometric mean, by two percent."""
+    ratio = np.maximum(rms_um, TINY) / np.maximum(prompt_um, TINY)
+    return bool(np.log(ratio).mean() < math.log(1.0 - FELT))
 
 
 def _kept_from(guess: Sequence[Axis], axes: Sequence[AxisFit]) -> tuple[Axis, ...]:

@@ -74,11 +74,11 @@ class Paper(Assessment):
     title: ClassVar[str] = "Claims of the paper"
     number_names: ClassVar[tuple[str, ...]] = (CLAIMED,)
     more: ClassVar[str] = (
-        "The paper gives a bandwidth of 400 to 500 Hz and no damping. The scenarios take it for the frequency "
-        "at which the gain has risen by 3 dB, with small damping and a sensor without lag, because the "
-        "paper's own figures support that. With the literal reading, -3 dB, no damping follows the circle of "
-        "50 um as closely as the paper shows. All readings: reports/paper/readings/README.md in the source of "
-        "the package."
+        "The paper gives a bandwidth of 400 to 500 Hz and no damping. The scenarios take it for the "
+        "frequency at which the gain has risen by 3 dB, with small damping and a sensor without lag: the "
+        "paper's own figures support that. With the literal reading, -3 dB, no damping follows the 50 um "
+        "circle as closely as the paper shows. All readings: reports/paper/readings/README.md in the source "
+        "of the package."
     )
     reading_first: ClassVar[bool] = True  # as the paper's figures show it
 
