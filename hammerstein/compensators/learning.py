@@ -472,7 +472,7 @@ class LearnedLaw(Learner):
 
     def statement(self) -> str:
         """Statement of the inverse, and the need of a sensor."""
-        own = f"Trial {self.trial} is measured; each after the first needs the readings of the previous one."
+        own = f"The results are those of trial {self.trial}; each trial uses the readings of the one before."
         return f"{own} {self.inverse.statement()}".strip()
 
 

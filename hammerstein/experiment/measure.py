@@ -365,7 +365,7 @@ def _sampling(setup: SetUp) -> Iterator[str]:
             "Without dynamics, it occurs between the samples only; the numbers in this report are errors at "
             "the samples."
             if isinstance(setup.plant.model.dynamics, StaticDynamics)
-            else "Only a law or a model with dynamics accounts for it."
+            else "Only laws and models with dynamics correct this."
         )
     for source in (*scenario.compensators, *scenario.models):
         own = getattr(source.identification, "sample_time_s", None)

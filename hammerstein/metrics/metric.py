@@ -197,11 +197,11 @@ def _add(name: str, meaning: str, errors: str, part: str, drawn: bool = False) -
 
 for _of, _true, _read in (("errors", "", "sensor's reading"), ("true_errors", "_true", "true position")):
     _why = ", without the sensor" if _true else f"; {ERROR}"
-    _add(f"rms{_true}_um", f"root mean square of the error of the {_read} [um]{_why}", _of, "rms", True)
+    _add(f"rms{_true}_um", f"rms error of the {_read} [um]{_why}", _of, "rms", True)
     _add(f"max{_true}_um", f"largest absolute error of the {_read} [um]", _of, "worst", bool(_true))
 for _of, _true, _read in (("errors", "", "reading"), ("true_errors", "_true", "true position")):
     _between = f"distance between {_read} and reference over all axes [um]"
-    _add(f"euclidean_rms{_true}_um", f"root mean square of the {_between}", _of, "distance_rms")
+    _add(f"euclidean_rms{_true}_um", f"rms {_between}", _of, "distance_rms")
     _add(f"euclidean_max{_true}_um", f"largest {_between}", _of, "distance_worst", bool(_true))
 
 

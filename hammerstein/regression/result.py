@@ -238,7 +238,7 @@ def _table(findings: Sequence[Finding]) -> tuple[list[list[str]], list[str]]:
     inside = sorted((f for f in findings if f.key), key=lambda finding: -finding.excess)
     rows = [_cells(finding) for finding in inside[:SHOWN]]
     columns = [column for column in _COLUMNS if any(row.get(column) for row in rows)]
-    more = [f"  and {len(inside) - SHOWN} more; the worst are listed"] * (len(inside) > SHOWN)
+    more = [f"  the {SHOWN} worst are listed; {len(inside) - SHOWN} more"] * (len(inside) > SHOWN)
     return [columns] * bool(rows) + [[row.get(c, "") for c in columns] for row in rows], more
 
 

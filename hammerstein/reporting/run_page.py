@@ -8,7 +8,7 @@ from pathlib import PurePath
 from typing import Any
 
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import Report, Trace, identified_at, is_path, percent
+from hammerstein.experiment.report import Report, Trace, identified_at, percent
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of
@@ -35,10 +35,10 @@ TITLES = {
 }
 CAPTIONS = {
     "sensitivity": "Shares of the variance over the random actuators, for each compensator, at the condition "
-    "with the highest 95 % limit. Dark: the parameter alone. Pale: with its interactions. Thin: 95 % limits. "
-    "Correlated errors of the weights of one axis count as one parameter.",
-    "sweep_true": "One panel for each transfer, one curve for each compensator.",
-    "sweep": "One panel for each transfer, one curve for each compensator or model.",
+    "with the highest 95th percentile. Dark: the parameter alone. Pale: with its interactions. Thin: 95 % "
+    "limits. Correlated errors of the weights of one axis count as one parameter.",
+    "sweep_true": "One panel for each transfer, or several where there are more than four compensators.",
+    "sweep": "One panel for each transfer, or several where there are more than four curves.",
     "trials_true": "One panel for each measured axis. Trial 1 is without learning; each later trial corrects "
     "the voltages with the sensor readings of the previous one, until only noise remains.",
     "trials": "One panel for each measured axis.",
@@ -52,7 +52,6 @@ CAPTIONS = {
 
 IS_TRUE = '"True" is the actuator\'s position, without the sensor.'
 NOT_PREDICTED = "An error is the sensor's reading minus the prediction."
-FIRST_DISTANCE = "The distance from the reference has a logarithmic axis where one curve would hide another."
 READS_TRUTH = "The sensor is ideal: it reads the true position."
 
 RUN = re.compile(r"(.+) at (.+), (axis \S+|all axes)")
@@ -233,7 +232,6 @@ def figure_of(name: str, report: Report) -> Shown:
         "trials_true": banded,
         "trials": banded,
         "errors": [READS_TRUTH if report.reads_truth else IS_TRUE if compared else NOT_PREDICTED]
-        + [FIRST_DISTANCE] * (compared and is_path(report))
         + ["Dots are samples, few in each turn; smooth curves join them."] * any(map(_sparse, report.traces)),
     }
     caption = " ".join([CAPTIONS.get(kind, ""), *remarks.get(kind, [])])

@@ -141,7 +141,7 @@ def _answered(report: Report, quote: Quote) -> Sentence | None:
 
 
 def _uncertain(report: Report, contest: Contest) -> Sentence | None:
-    """Median and 95 % limit over the random actuators, and the nominal one: the worst of each."""
+    """Median and 95th percentile over the random actuators, and the nominal one: the worst of each."""
     if not report.bands or report.scenario.uncertainty is None:
         return None
     metric, words = banded_metric(report)
@@ -155,7 +155,7 @@ def _uncertain(report: Report, contest: Contest) -> Sentence | None:
     at = ", each number at its worst frequency" if len({row.frequency_hz for row in report.rows}) > 1 else ""
     return Sentence(
         f"The {words} of the true position for {report.scenario.uncertainty.draws} random actuators{at}:",
-        (("[um]", "median", "95 % limit", "nominal actuator"), *rows),
+        (("[um]", "median", "95th percentile", "nominal actuator"), *rows),
     )
 
 
@@ -331,11 +331,11 @@ def unsettled_runs(report: Report) -> str:
     after = "raise settle_cycles or settle_s in [measure]"
     if never:
         some = f"{after} (does not help {never} of them)"
-        after = some if never < len(texts) else "more cycles do not help"
+        after = some if never < len(texts) else "more cycles do not change that"
     named = f"{len(texts)} of {runs} runs had not settled: {_grouped(report, texts)}"
     if len(texts) == runs:
-        return f"No run had settled. These numbers still change; {after}."
-    return f"{named}. These still change; {after}."
+        return f"No run had settled, so these numbers depend on when they are read; {after}."
+    return f"{named}. Their numbers depend on when they are read; {after}."
 
 
 def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:

@@ -499,7 +499,7 @@ def test_one_cut_voltage_among_the_samples_not_recorded_counts():
     [
         ("duo_bimorph_static", 50e-6, ""),
         ("duo_bimorph_static", 2e-3, "the numbers in this report are errors at the samples."),
-        ("duo_bimorph", 2e-3, "Only a law or a model with dynamics accounts for it."),
+        ("duo_bimorph", 2e-3, "Only laws and models with dynamics correct this."),
     ],
 )
 def test_what_the_hold_alone_costs_is_told(actuator, sample_time_s, told):

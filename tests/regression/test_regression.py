@@ -452,7 +452,7 @@ def test_a_long_table_shows_the_worst() -> None:
     many = [replace(MOVED, now=0.05 + 0.001 * i) for i in range(100)]
     lines = result_of(*many).text().splitlines()
     assert "0.149 " in lines[2]
-    assert "and 80 more; the worst are listed" in lines[22]
+    assert "the 20 worst are listed; 80 more" in lines[22]
 
 
 def test_numbers_are_shown_with_the_digits_that_tell_them_apart() -> None:

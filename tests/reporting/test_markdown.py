@@ -219,7 +219,7 @@ def test_a_question_of_yes_or_no_is_answered_so() -> None:
     def answered(**limits: float) -> str:
         return answer(replace(report, scenario=report.scenario.model_copy(update={"yes_if": limits})))
 
-    words = "root mean square of the error of the sensor's reading 0.200 um (limit"
+    words = "rms error of the sensor's reading 0.200 um (limit"
     assert answered(rms_um=0.3).startswith(f"Yes: {words} 0.3 um). The rms error ")
     assert answered(rms_um=0.1).startswith(f"No: {words} 0.1 um). The rms error ")
     assert answered(rms_um=0.3, gain=0.1).startswith(f"No: {words} 0.3 um) and first harmonic of ")
@@ -263,14 +263,14 @@ def test_answer_says_what_was_cut_and_what_had_not_settled() -> None:
     assert "clipped 4 of 8 runs: duo_bimorph_static (9 to 10 V)." in answer(some)
     hurried = report_of(drive=SINE_V, actuator="duo_bimorph", measure={"settle_cycles": 0, "settle_s": 0.0})
     said = answer(hurried)
-    assert "No run had settled. These numbers still change; " in said
+    assert "No run had settled, so these numbers depend on when they are read; " in said
     assert "raise settle_cycles or settle_s" in said  # and what follows
     assert "settled" not in answer(report_of(drive=SINE_V, measure={"measured_cycles": 1}))
     creeping = replace(
         cut, statements=("x: the position has not settled; it does not settle in 20 times as many",)
     )
     assert "raise settle_cycles" not in answer(creeping)
-    assert "more cycles do not help" in answer(creeping)
+    assert "more cycles do not change that" in answer(creeping)
     some = replace(creeping, statements=(*creeping.statements, "x: the position has not settled; try."))
     assert "raise settle_cycles or settle_s in [measure] (does not help 1 of them)." in answer(some)
 
@@ -313,7 +313,7 @@ def test_one_statement_that_is_left_out_is_one() -> None:
 def test_many_loops_that_had_not_settled_are_named() -> None:
     said = tuple(f"law {k} at {10 * k} Hz, axis x: the position has not settled; try." for k in range(1, 6))
     text = answer(replace(swept(), statements=said))
-    assert "5 of 24 runs had not settled: law 1, law 2, law 3, 2 more (10 to 50 Hz). These " in text
+    assert "5 of 24 runs had not settled: law 1, law 2, law 3, 2 more (10 to 50 Hz). Their " in text
     assert "law 1 (1 run, 10 Hz); law 2 (1 run, 20 Hz). " in answer(replace(swept(), statements=said[:2]))
 
 

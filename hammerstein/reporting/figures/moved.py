@@ -33,7 +33,7 @@ MOST_COURSES = 3
 """Most curves of one figure; more would be too small to read."""
 SWEPT = {
     "frequency_hz": "frequency [Hz]",
-    "amplitude_um": "amplitude [um]",
+    "amplitude_um": "amplitude [µm]",
     "amplitude_v": "amplitude [V]",
     "trial": "trial",
 }
@@ -42,7 +42,7 @@ NAMED = {
     "excited_axis": "{} driven",
     "measured_axis": "position {}",
     "frequency_hz": "{} Hz",
-    "amplitude_um": "{} um",
+    "amplitude_um": "{} µm",
     "amplitude_v": "{} V",
     "trial": "trial {}",
 }
