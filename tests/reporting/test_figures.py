@@ -342,7 +342,7 @@ def test_distance_is_logarithmic_where_one_curve_would_hide_another() -> None:
         reference=CIRCLE, compensators=[many_passes, NONE], instruments={"sensor": {"bandwidth_hz": "inf"}}
     )
     scales = {axes.get_ylabel(): axes.get_yscale() for axes in figures_of(report)["errors"].axes}
-    assert scales == {"distance [µm], log scale": "log", "$e_x$ [µm]": "linear", "$e_y$ [µm]": "linear"}
+    assert scales == {"distance [µm]\n(log)": "log", "$e_x$ [µm]": "linear", "$e_y$ [µm]": "linear"}
     assert {axes.get_yscale() for axes in figures_of(circles())["errors"].axes} == {"linear"}
 
 

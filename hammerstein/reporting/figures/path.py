@@ -277,7 +277,7 @@ def _scale_distance(axes: Axes, runs: Sequence[PathRun]) -> None:
     if min(worst) > 0.0 and max(worst) >= LOGARITHMIC_FROM * min(worst):
         typical = min(float(np.median(run.errors()[0])) for run in runs)
         axes.set_yscale("log")
-        axes.set_ylabel(f"{axes.get_ylabel()}, log scale")
+        axes.set_ylabel(f"{axes.get_ylabel()}\n(log)")
         axes.set_ylim(0.3 * max(typical, DEEPEST * max(worst)), 1.4 * max(worst))
         plain_numbers(axes.yaxis)
     else:
