@@ -306,3 +306,17 @@ def by_key(items: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
     for item in items:
         found.setdefault(key(item), []).append(item)
     return found
+
+
+LEAST_SHARE = 1e-6  # smaller ones are rounding errors
+
+
+def percent(share: float) -> str:
+    """Text of a fraction in percent with two significant digits, without exponent.
+
+    >>> percent(0.0378), percent(0.996), percent(1.024), percent(1e-16)
+    ('3.8 %', '100 %', '102 %', '< 0.0001 %')
+    """
+    if 0.0 < abs(share) < LEAST_SHARE:
+        return "< 0.0001 %"
+    return f"{100.0 * share:.{'2g' if abs(share) < 0.995 else '0f'}} %"

@@ -301,14 +301,3 @@ def number(value: float | None) -> str:
 def spread(band: Band) -> str:
     """Text of a band: median, and ends in brackets."""
     return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"
-
-
-def percent(share: float) -> str:
-    """Text of a fraction in percent with two significant digits, without exponent.
-
-    >>> percent(0.0378), percent(0.996), percent(1.024), percent(1e-16)
-    ('3.8 %', '100 %', '102 %', '< 0.0001 %')
-    """
-    if 0.0 < abs(share) < TINY:
-        return "< 0.0001 %"
-    return f"{100.0 * share:.{'2g' if abs(share) < 0.995 else '0f'}} %"

@@ -14,13 +14,12 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import TINY, percent
 from hammerstein.hysteresis import BoucWen, PrandtlIshlinskii, slopes_of
 from hammerstein.identification.fit import KIND_NAMES, Fit
 from hammerstein.identification.model_selection import CLOSE
 from hammerstein.identification.residual_analysis import noise_within
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import interval
+from hammerstein.quantities import LEAST_SHARE, interval, percent
 from hammerstein.reporting.figures.identified import identified_figures
 from hammerstein.reporting.figures.write import files_of
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
@@ -178,7 +177,7 @@ def at_most(share: float) -> str:
     >>> at_most(0.0378), at_most(1e-16)
     ('at most 3.8 %', 'below 0.0001 %')
     """
-    return "below 0.0001 %" if 0.0 < share < TINY else f"at most {percent(share)}"
+    return "below 0.0001 %" if 0.0 < share < LEAST_SHARE else f"at most {percent(share)}"
 
 
 def _error(fit: Fit) -> str:

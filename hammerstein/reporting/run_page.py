@@ -8,10 +8,10 @@ from pathlib import PurePath
 from typing import Any
 
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import Report, Trace, identified_at, percent
+from hammerstein.experiment.report import Report, Trace, identified_at
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
-from hammerstein.quantities import number_of
+from hammerstein.quantities import number_of, percent
 from hammerstein.reporting.figures.choice import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
 from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs

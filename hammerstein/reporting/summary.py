@@ -20,11 +20,10 @@ from hammerstein.experiment.report import (
     largest,
     number,
     operators_of,
-    percent,
     told_apart,
 )
 from hammerstein.metrics import METRICS, Row
-from hammerstein.quantities import by_key, number_of
+from hammerstein.quantities import by_key, number_of, percent
 from hammerstein.signals import OneFrequency
 
 MOST_RANGES = 2  # ranges of a sweep that are told one by one; more are counted
