@@ -198,8 +198,8 @@ def _creeping_guess(
         shape, x = parameters_of(axis)
         task = AxisTask(records, starts, grids, o, shape, guess.delay_samples, settings.sensor, every)
         grown = None if shape.creep_modes else with_step(task, shape, x, "creep")
-        larger, point = grown or (shape, refine(task, x, ROUGHLY))
-        axes.append(axis_of(larger, point.x))
+        point = grown or refine(task, x, ROUGHLY)
+        axes.append(axis_of(grown.shape if grown else shape, point.x))
         rms.append(max(point.rms, TINY))
     return float(np.exp(np.mean(np.log(rms)))), guess._replace(axes=tuple(axes))
 

@@ -20,8 +20,8 @@ from hammerstein.identification.linear.axis_search import (
     CREEP_SPANS,
     LAG_SAMPLES,
     PEAK_DAMPING,
-    Point,
     arrived,
+    fit_slopes,
     refine,
     refined_late,
     resonances,
@@ -47,8 +47,8 @@ MOST_CREEP = 3
 """Largest number of slow modes of an axis with ``auto``."""
 TOLD = 1e-9
 """Power of a combination of columns, in parts of the largest, from which the records tell it."""
-REFINED = 2
-"""Number of points of a coarse grid from which a resonance is refined."""
+REFINED = 3
+"""Number of valleys of a coarse grid from which a search begins."""
 SEARCHED = 1e-3
 """Gain of a step, in parts of the error, below which a search has converged; decisions need two percent."""
 FEW, MANY = 7, 39
@@ -72,6 +72,14 @@ class OutputDynamics(NamedTuple):
     def is_static(self) -> bool:
         """Whether there are no dynamics behind the block."""
         return all(axis == Axis() for axis in self.axes)
+
+
+class Grown(NamedTuple):
+    """An axis with one thing more: its shape and parameters, and the rms error of one output [um]."""
+
+    shape: AxisShape
+    x: Array
+    rms: float
 
 
 def search_output_dynamics(
@@ -99,21 +107,20 @@ def search_output_dynamics(
     """
     late = replace(task, delay_samples=begin.delay_samples)
     every = [len(weights) for weights in hysteresis.weights]
-    tasks = [_axis_tasks(late, hysteresis, o, (number, MANY, FEW)) for o, number in enumerate(every)]
+    tasks = [_axis_tasks(late, hysteresis, o, (number, MANY)) for o, number in enumerate(every)]
     near = begin.axes or (Axis(),) * task.outputs
     selected = [
-        _forward_selection(task, one, quick, axis, one_fast)
-        for (_, one, quick), axis in zip(tasks, near, strict=True)
+        _forward_selection(task, one, axis, one_fast) for (_, one), axis in zip(tasks, near, strict=True)
     ]
     shapes, begins = [shape for shape, _ in selected], [x for _, x in selected]
-    whole, many, few = (
+    whole, many = (
         [replace(one, shape=shape) for one, shape in zip(row, shapes, strict=True)]
         for row in zip(*tasks, strict=True)
     )
     delay = begin.delay_samples
     if free_delay:
         task.progress("estimating the delay")
-        delay, begins = _delay(many, few, delay, begins)
+        delay, begins = _delay(many, delay, begins)
     return OutputDynamics(tuple(_nearer(one, x, delay) for one, x in zip(whole, begins, strict=True)), delay)
 
 
@@ -122,13 +129,12 @@ def _nearer(one: AxisTask, x: Array, delay: float) -> Axis:
     return axis_of(one.shape, refine(replace(one, delay_samples=delay), x, SEARCHED).x if len(x) else x)
 
 
-def _delay(
-    many: Sequence[AxisTask], few: Sequence[AxisTask], first: float, begins: Sequence[Array]
-) -> tuple[float, list[Array]]:
+def _delay(many: Sequence[AxisTask], first: float, begins: Sequence[Array]) -> tuple[float, list[Array]]:
     """Delay that leaves the least, and parameters of all axes with it.
 
     Where few columns ask for another delay than the first one, many decide which.
     """
+    few = [_with_few_columns(one, x) for one, x in zip(many, begins, strict=True)]
     near, found = best_delay(
         partial(refined_late, few, enough=SEARCHED), list(begins), first=first, parts=True
     )
@@ -177,10 +183,10 @@ def _with_lag_instead(one: AxisTask, fit: AxisFit) -> AxisFit:
     plain = fit_axis(replace(one, shape=without), x[2:])
     if shape.lag:
         return plain
-    found = with_step(replace(one, shape=without), without, x[2:], "lag")
+    found = with_step(one, without, x[2:], "lag")
     if found is None:
         return plain
-    lagging = fit_axis(replace(one, shape=found[0]), found[1].x)
+    lagging = fit_axis(replace(one, shape=found.shape), found.x)
     return lagging if lagging.identified and lowers(lagging.rms_um, plain.rms_um) else plain
 
 
@@ -220,12 +226,10 @@ def _told(columns: Sequence[Regressors], every: int) -> Array:
     return np.asarray((directions[:, kept] / np.sqrt(power[kept])).T / size)
 
 
-def _forward_selection(
-    task: Task, one: AxisTask, quick: AxisTask, begin: Axis, one_fast: bool
-) -> tuple[AxisShape, Array]:
+def _forward_selection(task: Task, one: AxisTask, begin: Axis, one_fast: bool) -> tuple[AxisShape, Array]:
     """Shape and parameters of one axis, found by adding what lowers the error most.
 
-    one, quick : with many columns, which decide, and with the few that a search needs
+    one : with many columns, which decide
     """
     settings, name = task.settings, task.records[0].outputs[one.output]
     may = {"lag": ("lag",), "second_order": ("resonance",), "auto": ("lag", "resonance")}
@@ -240,43 +244,73 @@ def _forward_selection(
         fast = () if one_fast and shape.slow else fast
         steps = [step for step in fast if not getattr(shape, step)]
         steps += ["creep"] if shape.creep_modes < most else []
-        tried = [with_step(quick, shape, x, step) for step in steps]
+        tried = [with_step(one, shape, x, step) for step in steps]
         if "lag" in steps and shape.resonance:  # a damped resonance may have taken the place of a low-pass
-            tried.append(_with_both(quick, shape, x))
-        trials = [trial for trial in tried if trial is not None and _physical(axis_of(trial[0], trial[1].x))]
+            tried.append(_with_both(one, shape, x))
+        trials = [trial for trial in tried if trial is not None and _physical(axis_of(trial.shape, trial.x))]
         if not trials:
             return shape, x
         best = _simplest_near(trials)
-        asked = [trial for trial in trials if asks and trial[0].creep_modes > shape.creep_modes]
+        asked = [trial for trial in trials if asks and trial.shape.creep_modes > shape.creep_modes]
         if one_fast and fast:
-            asked.insert(0, _simplest_near([trial for trial in trials if trial[0].slow > shape.slow]))
-        for (larger, found), most_rms in ((best, (1.0 - FELT) * error), *((t, math.inf) for t in asked)):
-            point = refine(replace(one, shape=larger), found.x, SEARCHED)
-            if point.rms <= most_rms and _physical(axis_of(larger, point.x)):
-                shape, x, error = larger, point.x, point.rms
+            asked.insert(0, _simplest_near([trial for trial in trials if trial.shape.slow > shape.slow]))
+        for trial, most_rms in ((best, (1.0 - FELT) * error), *((t, math.inf) for t in asked)):
+            point = refine(replace(one, shape=trial.shape), trial.x, SEARCHED)
+            if point.rms <= most_rms and _physical(axis_of(trial.shape, point.x)):
+                shape, x, error = trial.shape, point.x, point.rms
                 break
         else:
             return shape, x
 
 
-def _simplest_near(trials: Sequence[tuple[AxisShape, Point]]) -> tuple[AxisShape, Point]:
+def _simplest_near(trials: Sequence[Grown]) -> Grown:
     """Of the axes within two percent of the least error, the one with the fewest parameters.
 
     An overdamped resonance follows as closely as the low-pass that it stands for.
     """
-    most = min(point.rms for _, point in trials) / (1.0 - FELT)
-    near = [trial for trial in trials if trial[1].rms <= most]
-    return min(near, key=lambda trial: (trial[0].parameters, trial[1].rms))
+    most = min(trial.rms for trial in trials) / (1.0 - FELT)
+    near = [trial for trial in trials if trial.rms <= most]
+    return min(near, key=lambda trial: (trial.shape.parameters, trial.rms))
 
 
-def _with_both(one: AxisTask, shape: AxisShape, x: Array) -> tuple[AxisShape, Point] | None:
+def _valleys(errors: Sequence[float]) -> list[int]:
+    """Places of a grid with no lower neighbour, the lowest first.
+
+    With few columns, errors may fall from one end of the grid to the other, past a resonance.
+
+    >>> _valleys([3.0, 2.0, 2.5, 1.5, 1.0]), _valleys([])
+    ([4, 1], [])
+    """
+    padded = [math.inf, *errors, math.inf]
+    low = [i for i, error in enumerate(errors) if error <= min(padded[i], padded[i + 2])]
+    return sorted(low, key=lambda i: errors[i])
+
+
+def _with_few_columns(one: AxisTask, x: Array) -> AxisTask:
+    """The same for searches near x: its columns are the response that is best there, and those of most power.
+
+    With the response that is best elsewhere, a resonance may be hidden that all columns show.
+    """
+    if one.columns <= FEW + 1 or not one.kept:
+        return one
+    slopes, _ = fit_slopes(one, partial(one.path, x))
+    mix = np.vstack([slopes, np.eye(one.columns)[-FEW:]])
+    return replace(one, kept=tuple(Regressors(mix @ each.values, mix @ each.held) for each in one.kept))
+
+
+def _with_both(one: AxisTask, shape: AxisShape, x: Array) -> Grown | None:
     """An axis with a low-pass, and a resonance that is found behind it."""
     lagging = with_step(one, replace(shape, resonance=False), x[2:], "lag")
-    return None if lagging is None else with_step(one, lagging[0], lagging[1].x, "resonance")
+    return None if lagging is None else with_step(one, lagging.shape, lagging.x, "resonance")
 
 
-def with_step(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[AxisShape, Point] | None:
-    """An axis with one thing more, near the best place; None where the records are too short for any."""
+def with_step(one: AxisTask, shape: AxisShape, x: Array, step: str) -> Grown | None:
+    """An axis with one thing more, near the best place; None where the records are too short for any.
+
+    Few columns search, and all those of the task choose where it has arrived: with few, an axis could hide an
+    error that thresholds can remove.
+    """
+    here = _with_few_columns(replace(one, shape=shape), x)
     if step == "creep":
         larger, at = replace(shape, creep_modes=shape.creep_modes + 1), shape.parameters
         spans = np.log(duration_s(one.records) * np.array((*CREEP_SPANS, 0.003)))
@@ -288,17 +322,19 @@ def with_step(one: AxisTask, shape: AxisShape, x: Array, step: str) -> tuple[Axi
     else:
         larger, at = replace(shape, resonance=True), 0
         added = resonances(*replace(one, shape=AxisShape()).limits)
-    grown = replace(one, shape=larger)
-    lower, upper = grown.limits
+    whole = replace(one, shape=larger)
+    lower, upper = whole.limits
 
     def begun(added: Sequence[Array]) -> list[Array]:
         begins = [np.insert(x, at, more) for more in added]
         return [x for x in begins if (lower <= x).all() and (x <= upper).all()]
 
     begins = begun(added)
-    order = np.argsort([rms_behind(grown, x) for x in begins], kind="stable")[:REFINED]
-    nearest = [begins[i] for i in order]
+    nearest = [
+        begins[i] for i in _valleys([rms_behind(replace(here, shape=larger), x) for x in begins])[:REFINED]
+    ]
     if step == "resonance":
-        nearest += begun([np.log([hz, PEAK_DAMPING]) for hz in ringing_hz(replace(one, shape=shape), x)])
-    points = arrived(grown, nearest, SEARCHED)
-    return (larger, min(points, key=lambda point: point.rms)) if points else None
+        nearest += begun([np.log([hz, PEAK_DAMPING]) for hz in ringing_hz(here, x)])
+    points = arrived(partial(_with_few_columns, whole), nearest, SEARCHED)
+    found = [Grown(larger, point.x, rms_behind(whole, point.x)) for point in points]
+    return min(found, key=lambda one: one.rms) if found else None

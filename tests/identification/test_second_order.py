@@ -316,7 +316,7 @@ def test_searches_that_meet_arrive_at_one_place():
         tuple(records), (InitialState("rest"),) * 8, (R, R), 0, AxisShape(), 0, SensorModel(SENSOR_HZ)
     )
     begins = [np.log(each) for each in ((320.0, 0.15), (240.0, 0.15), (5000.0, 0.03))]
-    (found,) = axis_search.arrived(task, begins, 1e-5)
+    (found,) = axis_search.arrived(lambda x: task, begins, 1e-5)
     assert np.abs(np.exp(found.x) / AXES[0] - 1.0).max() < 0.02
 
 
@@ -331,7 +331,7 @@ def test_a_search_is_given_up_where_it_stays_far_behind_alone(monkeypatch):
     steps = [[SimpleNamespace(x=np.log([f, z]), rms=rms) for f, z, rms in trail] for trail in trails]
     monkeypatch.setattr(axis_search, "refined", lambda task, x, enough: iter(steps[x]))
     task = SimpleNamespace(shape=AxisShape())
-    assert axis_search.arrived(task, range(4), 1e-5) == [steps[0][-1], steps[1][-1]]
+    assert axis_search.arrived(lambda x: task, range(4), 1e-5) == [steps[0][-1], steps[1][-1]]
 
 
 def test_the_oracle_of_these_tests_is_the_step_response_of_theory():

@@ -184,14 +184,15 @@ def resonances(lower: Array, upper: Array) -> list[Array]:
     return [np.array([f, math.log(damping)]) for f in frequencies]
 
 
-def arrived(task: AxisTask, begins: Sequence[Array], enough: float) -> list[Point]:
-    """Where searches arrive, each place once.
+def arrived(near: Callable[[Array], AxisTask], begins: Sequence[Array], enough: float) -> list[Point]:
+    """Where searches arrive, each place once; ``near`` gives the task of a search from where it begins.
 
     One is given up where it comes to what an earlier one has found, or where it is still far from the best.
     """
     found: list[Point] = []
     for x in begins:
         reach = FAR * min((point.rms for point in found), default=math.inf)
+        task = near(x)
         for number, here in enumerate(refined(task, x, enough)):
             known = any(_is_at(task.shape, here, point) for point in found)
             if known or (number >= TRIED and here.rms > reach):
