@@ -313,7 +313,7 @@ def with_step(one: AxisTask, shape: AxisShape, x: Array, step: str) -> Grown | N
     here = _with_few_columns(replace(one, shape=shape), x)
     if step == "creep":
         larger, at = replace(shape, creep_modes=shape.creep_modes + 1), shape.parameters
-        spans = np.log(duration_s(one.records) * np.array((*CREEP_SPANS, 0.003)))
+        spans = np.log(duration_s(one.records) * np.array(CREEP_SPANS))
         added = [np.array([0.02, t]) for t in spans]
     elif step == "lag":
         larger, at = replace(shape, lag=True), shape.slow

@@ -155,7 +155,7 @@ PROMINENT = 0.7
 """Logarithm of the ratio by which an amplitude must stand out."""
 LAG_SAMPLES = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """Time constants of a low-pass to begin with, in samples."""
-CREEP_SPANS = (0.03, 0.3)
+CREEP_SPANS = (0.003, 0.03, 0.3)
 """Time constants of a creep mode to begin with, in parts of the longest record."""
 SEARCH_GRID = 1.3, 0.15
 """Ratio of neighbouring frequencies tried, and their damping: within reach of the Gauss-Newton steps."""
