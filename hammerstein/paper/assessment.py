@@ -74,6 +74,7 @@ class Paper(Assessment):
     title: ClassVar[str] = "Claims of the paper"
     number_names: ClassVar[tuple[str, ...]] = (CLAIMED,)
     more: ClassVar[str] = (
+        "Claims that an actuator was fitted to are not counted. "
         "The paper gives a bandwidth of 400 to 500 Hz and no damping. The scenarios take it for the "
         "frequency at which the gain has risen by 3 dB, with small damping and a sensor without lag: the "
         "paper's own figures support that. With the literal reading, -3 dB, no damping follows the 50 um "

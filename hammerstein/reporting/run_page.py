@@ -316,5 +316,5 @@ def _value(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(_value(v) for v in value)}]"
     if isinstance(value, float):
-        return "unlimited" if math.isinf(value) else f"{value:.10g}"
+        return "unlimited" if math.isinf(value) else f"{value:.6g}"
     return str(value).lower() if isinstance(value, bool) else str(value)

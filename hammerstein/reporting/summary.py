@@ -223,6 +223,8 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
         if len(labels) > MOST_ROWS:
             few = [*labels[: MOST_ROWS - 1], labels[-1]]
             told = {n: f"last of {len(labels)}: " * (n == few[-1]) + told[n] for n in few}
+        if len(ordered) > 1:
+            words = f"{words[:-1]}, in order of the geometric mean:"
         rows = [(told[n], *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
         head = "direct / cross-coupling [um]" if len(kinds) > 1 else "[um]"
         return Sentence(words, ((head, *(names[c] for c in shown)), *rows))

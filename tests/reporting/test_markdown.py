@@ -132,7 +132,7 @@ def test_conditions_of_an_answer_are_points_of_a_list() -> None:
     )  # fmt: skip
     page = render(with_rms(two, lambda label, f: f / (10.0 if label == "paper" else 5.0)))
     assert (
-        "\nThe rms error of the reading:\n\n"
+        "\nThe rms error of the reading, in order of the geometric mean:\n\n"
         "| direct / cross-coupling [um] | 20 Hz | 50 Hz |\n"
         "| --- | ---: | ---: |\n"
         "| *paper* | 2.00 / 0.200 | 5.00 / 0.500 |\n"
@@ -169,7 +169,7 @@ def test_answer_tells_who_is_best_where_and_shows_the_worst_of_the_best() -> Non
     found = sentences(with_rms(swept(), rms))[0]
     assert found.words == (
         "Smallest direct error: paper from 10 Hz to 30 Hz and none (no compensator is better) from 40 Hz to "
-        "60 Hz. The rms error of the reading:"
+        "60 Hz. The rms error of the reading, in order of the geometric mean:"
     )
     assert found.table == (
         ("direct / cross-coupling [um]", "10 Hz", "40 Hz", "60 Hz"),
