@@ -23,6 +23,7 @@ from hammerstein.identification.output_dynamics import (
     OutputDynamics,
     search_output_dynamics,
     sure_axis,
+    sure_output_dynamics,
 )
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.score import SensorModel, invertibility_of
@@ -271,18 +272,19 @@ def guess_of(
     plays = fit_static(quick, thresholds_v, solver="least_squares", starts=begun, delay_samples=late)
     free = settings.delay_samples is None and len({record.sample_time_s for record in records}) == 1
     begin = OutputDynamics((), late)
-    found = search_output_dynamics(task, plays.hysteresis, begin, free, one_fast=True)
+
+    def sure(guess: OutputDynamics) -> OutputDynamics:
+        """The guess with a low-pass where it has a resonance that the records do not tell."""
+        told = sure_output_dynamics(task, plays.hysteresis, guess)
+        axes = (old if new == Axis() else new for old, new in zip(guess.axes, told.axes, strict=True))
+        return told._replace(axes=tuple(axes))
+
+    found = sure(search_output_dynamics(task, plays.hysteresis, begin, free, one_fast=True))
     if not free or found.delay_samples == 0.0:
         return found
-    prompt = search_output_dynamics(task, plays.hysteresis, found._replace(delay_samples=0.0))
-    rms = [[fit.rms_um for fit in _fits_of(task, one)] for one in (found, prompt)]
+    prompt = sure(search_output_dynamics(task, plays.hysteresis, found._replace(delay_samples=0.0)))
+    rms = [[fit.rms_um for fit in one.fits] for one in (found, prompt)]
     return found if _is_late(*rms) else prompt
-
-
-def _fits_of(task: Task, guess: OutputDynamics) -> tuple[AxisFit, ...]:
-    """Guessed axes fitted with the delay guessed."""
-    late = replace(task, delay_samples=guess.delay_samples)
-    return fit_axes(late, task.thresholds_v, guess.axes, thinning(task.records))
 
 
 def _is_late(rms_um: ArrayLike, prompt_um: ArrayLike) -> bool:
