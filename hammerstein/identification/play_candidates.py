@@ -16,7 +16,7 @@ from hammerstein.identification.columns import driven_of
 from hammerstein.identification.fit import Kind
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
 from hammerstein.identification.linear.axis_search import thinning
-from hammerstein.identification.linear.axis_task import AxisTask, parameters_of
+from hammerstein.identification.linear.axis_task import AxisTask, axis_of, parameters_of
 from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.operators import CURVE_SAMPLES, input_grids
 from hammerstein.identification.output_dynamics import (
@@ -188,6 +188,9 @@ def fitted_thresholds(
 
 GUESS_SAMPLES = 60_000  # of the liveliest part, for the first guess
 GUESS_OPERATORS = 20  # of the hysteresis beside that guess
+GUESSED_DIGITS = 3
+"""Decimals of the logarithms of a guess: what other versions of SciPy change in the ninth one decided whether
+a fourteenth threshold was worth its price."""
 GROWN_SAMPLES = 200_000
 """Samples for the search of an additional low-pass or creep mode."""
 MOST_TURNS = 8
@@ -274,10 +277,10 @@ def guess_of(
     begin = OutputDynamics((), late)
 
     def sure(guess: OutputDynamics) -> OutputDynamics:
-        """The guess with a low-pass where it has a resonance that the records do not tell."""
+        """The guess with a low-pass where it has a resonance that the records do not tell, rounded."""
         told = sure_output_dynamics(task, plays.hysteresis, guess)
         axes = (old if new == Axis() else new for old, new in zip(guess.axes, told.axes, strict=True))
-        return told._replace(axes=tuple(axes))
+        return told._replace(axes=tuple(map(_rounded, axes)))
 
     found = sure(search_output_dynamics(task, plays.hysteresis, begin, free, one_fast=True))
     if not free or found.delay_samples == 0.0:
@@ -285,6 +288,12 @@ def guess_of(
     prompt = sure(search_output_dynamics(task, plays.hysteresis, found._replace(delay_samples=0.0)))
     rms = [[fit.rms_um for fit in one.fits] for one in (found, prompt)]
     return found if _is_late(*rms) else prompt
+
+
+def _rounded(axis: Axis) -> Axis:
+    """The axis with parameters of few digits."""
+    shape, x = parameters_of(axis)
+    return axis_of(shape, np.round(x, GUESSED_DIGITS))
 
 
 def _is_late(rms_um: ArrayLike, prompt_um: ArrayLike) -> bool:
