@@ -138,7 +138,7 @@ def fit_plays(
         from_last_rest(validation, settings.sensor, accept_order=settings.accept_order) if validation else ()
     )
     _refuse_mixed([*ready, *held])
-    if not settings.shapes and settings.dynamics != "state_space":
+    if not settings.fast and settings.dynamics != "state_space":
         refuse_one_way(ready)
     task, guess, curve = first_task(ready, settings, tell)
     build = build_state_space if task.settings.dynamics == "state_space" else build_static

@@ -109,7 +109,7 @@ def first_task(
     """Initial states, delays and thresholds of the records, and approximate axes."""
     tell("estimating the initial states")
     begun = _first_starts(records, settings)
-    found = guess_of(records, begun, settings, tell) if settings.shapes else None
+    found = guess_of(records, begun, settings, tell) if settings.fast else None
     guess, starts = found, _first_starts(records, settings, found) if found else begun
     if guess and _left_by(records, None, settings, begun) < _left_by(records, guess, settings, starts):
         guess, starts = None, begun  # axes that only do harm would decide on starts and thresholds

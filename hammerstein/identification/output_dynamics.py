@@ -232,8 +232,7 @@ def _forward_selection(task: Task, one: AxisTask, begin: Axis, one_fast: bool) -
     one : with many columns, which decide
     """
     settings, name = task.settings, task.records[0].outputs[one.output]
-    may = {"lag": ("lag",), "second_order": ("resonance",), "auto": ("lag", "resonance")}
-    fast = may.get(settings.dynamics, ())
+    fast = settings.fast
     asks = settings.creep_modes != "auto"
     most = int(settings.creep_modes) if asks else MOST_CREEP
     shape, x = parameters_of(begin)

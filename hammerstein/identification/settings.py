@@ -137,16 +137,10 @@ class Settings(CascadeOptions, KindOptions):
         return "repeated" if self.dynamics == "state_space" and self.start == "auto" else self.start
 
     @property
-    def shapes(self) -> tuple[tuple[bool, bool], ...]:
-        """Shapes of an axis that are tried: (resonance, lag)."""
-        if self.solver == "closed_form":
-            return ()
-        known: dict[str, tuple[tuple[bool, bool], ...]] = {
-            "lag": ((False, True),),
-            "second_order": ((True, False),),
-            "auto": ((False, True), (True, False)),
-        }
-        return known.get(self.dynamics, ())
+    def fast(self) -> tuple[str, ...]:
+        """What an axis may have beside creep: a ``lag``, a ``resonance``."""
+        known = {"lag": ("lag",), "second_order": ("resonance",), "auto": ("lag", "resonance")}
+        return () if self.solver == "closed_form" else known.get(self.dynamics, ())
 
     def thresholds(self, records: Sequence[Record], operators: int | None = None) -> list[list[Array]]:
         """Thresholds (output, input) of every pair for given records.

@@ -1,6 +1,4 @@
-"""First guesses of resonance, lag, creep and delay of each axis.
-
-Steps of the search for resonance, damping, lag and creep of an axis, together with the static block.
+"""Steps of the search for resonance, damping, lag and creep of an axis, together with the static block.
 
 Once the linear block is fixed, the slopes c of the static block enter linearly,
 

@@ -30,8 +30,6 @@ from hammerstein.records.record import Record
 
 SERIES = 16
 """Terms of the exponential series, for a matrix with a norm of at most a half: the next one is rounding."""
-MIXED = 3
-"""Columns of an input in addition to that of its slopes."""
 LARGEST_CREEP = 1.0
 """Largest gain of a slow mode, in parts of the fast displacement, on whose way it goes."""
 STEP = 1e-6
@@ -141,7 +139,7 @@ class AxisTask:
     """Data that stay fixed while one axis is fitted.
 
     ``every`` thins the sums, not the signals: 3 counts every third sample. ``kept`` replaces the columns of
-    all thresholds, see ``mixed``. Whole samples of the delay shift the columns; the rest of the delay, and
+    all thresholds. Whole samples of the delay shift the columns; the rest of the delay, and
     the delay of the sensor, belong to the path.
     """
 
@@ -159,22 +157,6 @@ class AxisTask:
     def columns(self) -> int:
         """Columns whose slopes are fitted: those of all inputs, or the sums kept of them."""
         return len(self.kept[0].held) if self.kept else sum(map(len, self.grids))
-
-    def mixed(self, slopes: Array) -> AxisTask:
-        """The task with few columns in memory: outputs of given slopes, and a few plays.
-
-        Each input has one column for its given slopes, and three columns for thirds of its slope changes.
-        """
-        every, rows = np.eye(self.columns), []
-        ends = np.cumsum([len(grid) for grid in self.grids])
-        for own in np.split(np.arange(len(every)), ends[:-1]):
-            parts = np.array_split(own, min(MIXED, own.size)) if own.size else []
-            rows += [slopes[own] @ every[own], *(every[part].sum(axis=0) for part in parts)] if parts else []
-        kept = tuple(
-            Regressors.of(record.u_v, start, self.grids, np.array(rows))
-            for record, start in zip(self.records, self.starts, strict=True)
-        )
-        return replace(self, kept=kept)
 
     def blocks(self, number: int, filters: Sequence[Filter]) -> Iterator[tuple[int, Array]]:
         """First sample and columns of each block of a record behind the filters."""

@@ -11,7 +11,7 @@ slopes are bounds on single unknowns.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, Protocol
 
@@ -180,13 +180,6 @@ class Regressors:
 
     values: Array
     held: Array
-
-    @classmethod
-    def of(cls, u_v: Array, start: InitialState, grids: Sequence[Array], rows: Array) -> Regressors:
-        """Sums ``rows`` (column, regressor) of the differences of the plays."""
-        columns = PlayColumns.of(u_v, start, grids)
-        values = np.hstack([rows @ x for _, x in behind_filters(columns, replace(start, first=0), ())])
-        return cls(values, rows @ columns.held)
 
     def blocks(
         self, start: InitialState, delay_samples: int, filters: Sequence[Filter]
