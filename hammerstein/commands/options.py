@@ -68,7 +68,10 @@ def told_by_options(source: str, own: Collection[str] = ()) -> Iterator[None]:
             raise InputError(f"--{error.source}", error.mistakes) from None
         if error.source != source:
             raise
-        named = [m._replace(where=_option_of(m.where, own)) for m in error.mistakes]
+        named = [  # lists are for Python and scenarios alone
+            m._replace(where=_option_of(m.where, own), what=m.what.replace(" or a list", ""))
+            for m in error.mistakes
+        ]
         raise InputError("options", named) from None
 
 

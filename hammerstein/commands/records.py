@@ -318,7 +318,7 @@ def _show_loops(found: Mapping[str, Sequence[Loop]]) -> None:
     shown = {source: telling_loops(loops, MOST_LOOPS) for source, loops in found.items()}
     show(loops_table(shown))
     if (few := sum(map(len, shown.values()))) < (all_ := sum(map(len, found.values()))):
-        tell(f"Shown: {few} of {all_} loops, settled or else the widest of each pair; --json lists all")
+        tell(f"{few} of {all_} loops shown, settled or else the widest of a pair; all: --json")
 
 
 def identify(

@@ -82,7 +82,7 @@ def test_a_headline_leaves_out_what_the_range_alone_decides(tmp_path: Path) -> N
     assert float(value) < 0.5
     write_overview([swept], tmp_path)
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert "beyond the drive's range: 52\xa0um" in page
+    assert "Beyond the drive's range, so not counted: 52\xa0um" in page
     assert "Keep this file with the folders beside it" in page  # and does not say that it is one file
     beyond = run(_content(CIRCLE | {"radius_um": 52}), "beyond")
     told = digest([beyond], tmp_path)[1]
