@@ -36,12 +36,17 @@ class Voltages(Strict):
         default=False,
         description="whether the records began after a drive to the highest, then to the lowest voltage",
     )
+    fastest_v_per_s: tuple[Figure, ...] = Field(
+        default=(), description="fastest change of each voltage between two samples; none if unknown"
+    )
 
     @model_validator(mode="after")
     def _is_ordered(self) -> Self:
         each = (self.working_point_v, self.lowest_v, self.highest_v, self.poling)
         if len(set(map(len, each))) != 1:
             raise ValueError("give as many working points, lowest and highest voltages and signs of poling")
+        if len(self.fastest_v_per_s) not in (0, len(self.poling)):
+            raise ValueError("give as many values of fastest_v_per_s as of lowest_v, or none")
         if any(low >= high for low, high in zip(self.lowest_v, self.highest_v, strict=True)):
             raise ValueError("lowest_v must lie below highest_v")
         return self
@@ -49,7 +54,7 @@ class Voltages(Strict):
     @model_serializer(mode="wrap")
     def _without_what_is_usual(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         plain: dict[str, Any] = handler(self)
-        return {name: value for name, value in plain.items() if value is not False}
+        return {name: value for name, value in plain.items() if value is not False and value != ()}
 
     @classmethod
     def of(cls, working_point_v: ArrayLike, lowest_v: ArrayLike, highest_v: ArrayLike) -> Voltages:

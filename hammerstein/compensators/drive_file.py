@@ -44,6 +44,7 @@ ROUGH, AMPLIFIED = 1e-3, 10.0
 """Noise of a drive, relative to its span, and its ratio to the relative noise of the path, from which it is
 named: a path rounded to 1 nm became steps of 15 V for a stage of 200 Hz on a grid of 20 kHz."""
 LARGE_STEP = 0.1  # of the range, from which a step between two samples is named
+FASTER = 3.0  # than the records, from which a drive is said to go beyond them; forces grow with the square
 FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not what makes a drive rough
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
 
@@ -148,7 +149,8 @@ class Compensation(Attempt):
             said.append(self._held())
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs, self.lead))
-        said += [*self._amplified, *self._stepping, *filter(None, [beyond_records(self.model, self.drive_v)])]
+        said += [*self._amplified, *self._stepping, *self._faster]
+        said += filter(None, [beyond_records(self.model, self.drive_v)])
         if self.resampled:
             said.append(self.resampled)
         return said
@@ -193,6 +195,18 @@ class Compensation(Attempt):
                 yield f"The first sample of {name} is {largest:.3g} V from the start: --lead-in leads there."
             else:
                 yield f"Largest step of {name} between two samples: {largest:.3g} V."
+
+    @property
+    def _faster(self) -> Iterator[str]:
+        """Name an input that changes much faster than in the records: its error there is untested."""
+        model = self.model
+        fastest = np.abs(np.diff(self.drive_v)).max(axis=1) / model.instruments.drive.sample_time_s
+        for name, here, known in zip(model.inputs, fastest, model.recorded.fastest_v_per_s, strict=False):
+            if here > FASTER * known:
+                yield (
+                    f"{name} changes by up to {1e-3 * here:.3g} V/ms, in the records by {1e-3 * known:.3g}: "
+                    "the error of the model at such rates is untested."
+                )
 
     def _start(self) -> str:
         """Say how the actuator must come to the first row."""

@@ -250,7 +250,7 @@ def counted(record: Record) -> Record:
 def voltages_of(
     records: Sequence[Record], ready: Sequence[Record], starts: Sequence[InitialState], best: Candidate
 ) -> Voltages:
-    """Working point, range and history of every input over the records.
+    """Working point, range, history and fastest change of every input over the records.
 
     The working point is where the first record began that drives the input and began at rest: with a dead
     start, at an end of its range, or so judged. Where all began in motion it is the middle of the range.
@@ -269,7 +269,9 @@ def voltages_of(
             if start.kind == "rest" or _began_at_rest(record, k):
                 rest[k] = float(counted.rest_v[k])
     conditioned = _began_conditioned(ready, starts, best, low, high)
-    return Voltages.of(rest, low, high).model_copy(update={"conditioned": conditioned})
+    fastest = np.max([np.abs(np.diff(one.u_v)).max(axis=1) / one.sample_time_s for one in records], axis=0)
+    more = {"conditioned": conditioned, "fastest_v_per_s": tuple(fastest.tolist())}
+    return Voltages.of(rest, low, high).model_copy(update=more)
 
 
 def _began_conditioned(

@@ -318,6 +318,27 @@ def test_a_step_that_is_large_in_the_range_is_named(tmp_path, capsys, monkeypatc
         assert (said in " ".join(capsys.readouterr().out.split())) == (name == "jump")
 
 
+def test_a_drive_that_is_much_faster_than_the_records_is_named(tmp_path, capsys, monkeypatch):
+    """A model that follows slow records has shown nothing about a motion of ten times their rate."""
+    monkeypatch.chdir(tmp_path)
+    stage, path = _stage(tmp_path), _path(tmp_path, 40.0 * smooth_step(np.arange(-50, 750) / 700.0))
+
+    def said(model):
+        drive = tmp_path / "drive.csv"
+        assert _call("compensate", model, path, "--law", "exact_inverse", "--out", drive, "--overwrite") == 0
+        fastest = np.abs(np.diff(pd.read_csv(drive, comment="#")["drive_u_v"])).max() / T
+        return " ".join(capsys.readouterr().out.split()), fastest
+
+    words, slowest = said("stage.json")  # whose file does not state how fast its records were
+    assert "V/ms" not in words
+    for part in (0.1, 0.5):
+        known = stage.recorded.model_copy(update={"fastest_v_per_s": (part * slowest,)})
+        dataclasses.replace(stage, voltages=known).save(tmp_path / f"{part}.json")
+        words, fastest = said(f"{part}.json")
+        named = f"u changes by up to {1e-3 * fastest:.3g} V/ms, in the records by {1e-4 * fastest:.3g}: "
+        assert (named in words) == ("V/ms" in words) == (part == 0.1)
+
+
 @pytest.mark.parametrize("kind", ["far", "below"])
 def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, monkeypatch, kind):
     """A path 40 um away from where a lightly damped stage stands wants a lead-in; one below it an offset."""

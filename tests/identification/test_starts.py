@@ -99,6 +99,7 @@ def test_a_voltage_begins_at_rest_within_a_hundredth_of_an_end_of_its_range(part
     model = Candidate(PrandtlIshlinskii([[Pair([0.0], [0.1])]]), StaticDynamics(n_outputs=1))
     found = voltages_of([record], [counted(record)], [InitialState("repeated", 50)], model)
     assert found.working_point_v == pytest.approx([u[0, 0] if rests else 40.0 * sign])
+    assert found.fastest_v_per_s == pytest.approx([80.0 / 49 / 1e-3])  # from 0 to 80 V in 49 samples
 
 
 @pytest.mark.parametrize(("gap", "is_closed"), [(0.015, True), (0.025, False)])
