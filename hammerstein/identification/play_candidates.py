@@ -287,7 +287,7 @@ def guess_of(
         return found
     prompt = sure(search_output_dynamics(task, plays.hysteresis, found._replace(delay_samples=0.0)))
     rms = [[fit.rms_um for fit in one.fits] for one in (found, prompt)]
-    return found if _is_late(*rms) else prompt
+    return prompt if _is_late(*reversed(rms)) else found
 
 
 def _rounded(axis: Axis) -> Axis:

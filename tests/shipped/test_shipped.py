@@ -9,8 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hammerstein.actuators import DEFAULT
 from hammerstein.commands.start import STARTER
+from hammerstein.identification.identify import identify
+from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel, packaged_actuators
+from hammerstein.records.reading import read_records
 from hammerstein.runtime.manifest import Manifest, digest_of
 from shipped import paper_actuators, stacks, starter
 
@@ -38,6 +42,24 @@ def test_records_and_path_of_the_starter_are_what_its_command_makes(tmp_path):
     for name in MADE:
         fresh, shipped = (pd.read_csv(folder / name) for folder in (tmp_path, STARTER))
         pd.testing.assert_frame_equal(fresh, shipped, rtol=0.0, atol=2e-5)  # the last digit written
+
+
+def test_the_first_command_of_the_readme_follows_the_shipped_records_to_their_noise():
+    """Noise and rounding are all that is left; coarse thresholds once left a low-pass of 2.5 us in the model."""
+    inputs, outputs = starter.COLUMNS
+    records = read_records(
+        [STARTER / name for name in MADE[1:]], inputs=inputs, outputs=outputs, time="time_s"
+    )
+    model, fit = identify(records, Settings(sensor_bandwidth_hz=2000.0))
+    plant = HammersteinModel.load(DEFAULT)
+    sensor = plant.instruments.sensor
+    noise_um = np.hypot(sensor.noise_um, sensor.resolution_um / np.sqrt(12.0))
+    np.testing.assert_allclose(fit.fit[fit.kind].rms_um, noise_um, rtol=0.02)
+    assert model.dynamics.input_delay_s == 0.0
+    for axis, true in zip(model.dynamics.axes, plant.dynamics.axes, strict=True):
+        assert axis.lag_s is None
+        assert axis.resonance_hz == pytest.approx(true.resonance_hz, rel=5e-4)
+        assert axis.damping_ratio == pytest.approx(true.damping_ratio, rel=5e-3)
 
 
 @pytest.mark.full
