@@ -30,7 +30,10 @@ TEXTS = (README, ROOT / ".github/paper.md", ROOT / "hammerstein/guide/compensato
 SEEDS = tuple(range(1, 13))
 SAMPLE_TIMES_S = (50e-6, 25e-6)
 """Of the records and of the run: a figure that rests on one grid shows on the other."""
-HEADER = ("| error of the true position, twelve seeds of noise, 50 and 25 us | [um] |", "| --- | ---: |")
+HEADER = (
+    "| simulated error of the true position; twelve seeds of noise, sample times of 50 and 25 us | [um] |",
+    "| --- | ---: |",
+)
 PAPER = ("paper, 50 Hz", "paper, 100 Hz", "paper, 150 Hz", "paper, 200 Hz")
 
 
@@ -100,6 +103,7 @@ DYNAMICS = ("with dynamics",)
 FIGURES = (
     Figure("rms, sines of 20 um, 10 to 420 Hz: with dynamics", "beyond_error", DYNAMICS, "rms_true_um"),
     Figure("rms, the same sines: the paper's compensators", "beyond_error", PAPER, "rms_true_um"),
+    Figure("rms, the same sines: no compensation", "beyond_error", ("no compensation",), "rms_true_um"),
     Figure("worst, circles of 50 um at 50, 100, 200 Hz: with dynamics", "beyond_circles", DYNAMICS),
     Figure("worst, spiral from 50 um: with dynamics", "beyond_spiral", DYNAMICS),
     Figure("worst, Lissajous 3:2, 48 um: with dynamics", "beyond_lissajous_3_2", DYNAMICS, amplitude_um=48.0),

@@ -90,7 +90,7 @@ class WaveTable:
             f"{self.point_s:.6g} s, {written:.4g} um as written."
             + (" The points were computed for the smallest second error." if self.hold > 1 else ""),
             *self.cycle.statements(),
-            "This format is untried on a device: first compare its output with the prediction.",
+            "This format was not tested on hardware: first compare its output with the prediction.",
         ]
         if self.device == "pi":
             rate = round(self.point_s / (device.step_s or 1.0))

@@ -10,7 +10,7 @@ def main() -> Figure:
     identified = {"method": "hammerstein"}
     report = hammerstein.run(
         {
-            "question": "How far from a circle of 30 um does the tip get at 80 Hz?",
+            "question": "How far does the tip stray from a 30 um circle at 80 Hz?",
             "actuator": "duo_bimorph",
             "reference": {"kind": "circle", "radius_um": 30.0, "frequency_hz": 80.0, "smooth_start_s": 0.02},
             "compensators": [

@@ -122,7 +122,8 @@ def _sensor(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variat
 
 
 def _dynamics(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
-    return Variation(("dynamics",), "without dynamics", scenario, model.static())
+    words = "with the dynamics of this actuator removed"
+    return Variation(("dynamics",), words, scenario, model.static())
 
 
 def _passes(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:

@@ -69,8 +69,17 @@ class Quantity(Strict):
         known = self.known(rows)
         if self.found_hz is None:
             return self.reduced([value for _, value in known])
-        octaves = [(SIDES[self.of] * math.log2(row.frequency_hz / self.found_hz), v) for row, v in known]
-        return held(octaves, self.times)
+        return held([(self._octaves(row), v) for row, v in known], self.times)
+
+    def covers(self, rows: Iterable[Row], octaves: float) -> bool:
+        """Whether the sweep goes so many octaves from ``found_hz``; never, if octaves are not counted."""
+        known = self.known(rows) if self.found_hz is not None else []
+        return any(self._octaves(row) >= octaves for row, _ in known)
+
+    def _octaves(self, row: Row) -> float:
+        """Octaves of a row from ``found_hz``."""
+        assert self.found_hz is not None
+        return SIDES[self.of] * math.log2(row.frequency_hz / self.found_hz)
 
     def reduced(self, values: Sequence[float]) -> float:
         """Reduce values to one number; NaN if there are none."""
@@ -176,9 +185,13 @@ class Claim(Strict):
         return self
 
     def value(self, rows: Sequence[Row]) -> float:
-        """The simulated figure."""
+        """The simulated figure; infinite where a sweep beyond the least one wanted does not reach it."""
         if self.over is None:
-            return self.factor * self.quantity.value(rows)
+            value, asked = self.quantity.value(rows), self.agreement
+            endless = math.isnan(value) and asked.at_least is not None and asked.at_most is None
+            if endless and self.quantity.covers(rows, asked.at_least or 0.0):
+                return math.inf
+            return self.factor * value
         if self.row_by_row:
             divisors = {_place(row): value for row, value in self.over.known(rows)}
             found = [(value, divisors.get(_place(row))) for row, value in self.quantity.known(rows)]

@@ -285,4 +285,4 @@ def _cause(changes: Sequence[Change]) -> tuple[str, str]:
         return "", f"Not unique: more than one {what} brings agreement."
     if not changes:
         return "", ""
-    return "", "No change of one or two factors brings agreement."
+    return "", "No change of one or two factors of this actuator brings agreement."

@@ -33,7 +33,7 @@ def compare_page(found: Comparison, figures: Collection[str] = ()) -> Page:
     return Page(
         heading=Markdown("# Models compared"),
         what="Comparison",
-        title="Which model for these records",
+        title="Which model fits these records best?",
         answer=paragraphs(map(markdown, found.sentences())),
         facts=[f"{len(found.entries)} models", f"records: {', '.join(dict.fromkeys(found.records))}"],
         body=paragraphs([figures_section(shown), _body(found)]),

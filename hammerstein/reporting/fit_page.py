@@ -107,7 +107,7 @@ def fit_page(
     return Page(
         heading=Markdown("# Fit report of {}").format(model.name),
         what="Fit report",
-        title=f"How far to trust the model {model.name}",
+        title=f"How far can you trust the model {model.name}?",
         answer=paragraphs([points(summary(model, fit, asked)), markdown(fit.verdict)]),
         facts=[
             KIND_NAMES[fit.kind],

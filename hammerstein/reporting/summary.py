@@ -146,14 +146,18 @@ def _uncertain(report: Report, contest: Contest) -> Sentence | None:
     metric, words = banded_metric(report)
     nominal = {row.place: getattr(row, metric) for row in report.rows if is_direct(report, row)}
     bands = [band for band in report.bands if band.metric == metric and band.place in nominal]
-    rows = []
+    rows, medians = [], dict[str, float]()
     for (trial, label), own in by_key(bands, lambda band: (band.trial, band.compensator)).items():
         name = contest.named(label) + ("" if trial is None else f", trial {trial}")
         each = zip(*((band.median_um, band.p95_um, nominal[band.place]) for band in own), strict=True)
         rows.append((name, *(number(max(values)) for values in each)))
+        medians |= {name: max(band.median_um for band in own)} if trial is None else {}
+    least = min(medians, key=medians.__getitem__, default="")
+    best = f"{least} has the smallest median. " * (len(medians) > 1)
     at = ", each number at its worst frequency" if len({row.frequency_hz for row in report.rows}) > 1 else ""
+    drawn = f"{report.scenario.uncertainty.draws} random actuators"
     return Sentence(
-        f"The {words} of the true position for {report.scenario.uncertainty.draws} random actuators{at}:",
+        f"{best}The {words} of the true position for {drawn}{at}:",
         (("[um]", "median", "95th percentile", "nominal actuator"), *rows),
     )
 
@@ -169,6 +173,7 @@ def _compared(report: Report, contest: Contest) -> Sentence:
     else:
         name, of = ("rms_um", "reading") if report.reading_first else ("rms_true_um", "true position")
         words = f"rms error of the {'predicted ' * (target == 'prediction')}{of}"
+        words += _common_size(report) + ", worst axis" * (len(report.axes) > 1)
         direct = [row for row in report.rows if is_direct(report, row)]
         groups = [direct, [row for row in report.rows if not is_direct(report, row)]]
     kinds = [
@@ -181,11 +186,21 @@ def _compared(report: Report, contest: Contest) -> Sentence:
         return _table(kinds, words, contest)
     texts = [f"{contest.named(n)} {number(v)} um" for n, v in found.items()]
     if condition.amplitude and condition.unit == "um" and "max" in name:  # as a part of the path's size
-        parts = [percent(value / condition.amplitude) for value in found.values()]
+        parts = [
+            f"{percent(value / condition.amplitude)} of {condition.amplitude:g} um"
+            for value in found.values()
+        ]
         texts = [f"{text} ({part})" for text, part in zip(texts, parts, strict=True)]
     if len(texts) > MOST_LABELS + 1:
         texts = [*texts[:MOST_LABELS], f"largest: {texts[-1]}"]
     return Sentence(f"The {words}: {', '.join(texts)}.")
+
+
+def _common_size(report: Report) -> str:
+    """Amplitude that several runs share, such as `` for 20 um``."""
+    conditions = set(map(Condition.of, report.rows))
+    sizes = {(condition.amplitude, condition.unit) for condition in conditions if condition.amplitude}
+    return " for {:g} {}".format(*sizes.pop()) if len(conditions) > 1 and len(sizes) == 1 else ""
 
 
 def _values(rows: Iterable[Row], name: str) -> dict[str, float]:
@@ -224,7 +239,8 @@ def _table(kinds: Sequence[dict[Condition, dict[str, float]]], words: str, conte
             few = [*labels[: MOST_ROWS - 1], labels[-1]]
             told = {n: f"last of {len(labels)}: " * (n == few[-1]) + told[n] for n in few}
         if len(ordered) > 1:
-            words = f"{words[:-1]}, in order of the geometric mean:"
+            over = "frequencies" if differing(ordered) == ["frequency_hz"] else "runs"
+            words = f"{words[:-1]}, ranked by the geometric mean over {len(ordered)} {over}:"
         rows = [(told[n], *(" / ".join(filter(None, figures(c, n))) for c in shown)) for n in told]
         head = "direct / cross-coupling [um]" if len(kinds) > 1 else "[um]"
         return Sentence(words, ((head, *(names[c] for c in shown)), *rows))
@@ -267,9 +283,10 @@ def _best(found: dict[Condition, dict[str, float]], quote: Quote, kind: str) -> 
         ]
         return f"Smallest {kind}error: {listed(told)}. "
     most = max(dict.fromkeys(labels), key=labels.count)
-    where = f"{labels.count(most)} of {len(labels)} points"
-    if len(groups) == 1:
-        where = "every frequency" if differing(list(winners)) == ["frequency_hz"] else "every point"
+    one, many = (
+        ("frequency", "frequencies") if differing(list(winners)) == ["frequency_hz"] else ("run", "runs")
+    )
+    where = f"every {one}" if len(groups) == 1 else f"{labels.count(most)} of {len(labels)} {many}"
     return f"{quote(most)} has the smallest {kind}error at {where}. "
 
 
@@ -307,7 +324,7 @@ def _grouped(report: Report, runs: Sequence[str]) -> str:
     more = [f"{len(found) - MOST_LABELS} more"] * (len(found) > MOST_LABELS)
     span = _span([at for own in found.values() for at in own])
     whole = _span([(row.frequency_hz, "Hz") for row in report.rows])
-    return ", ".join([*list(found)[:MOST_LABELS], *more]) + f" ({span})" * (span not in ("", whole))
+    return "; ".join([*list(found)[:MOST_LABELS], *more]) + f" ({span})" * (span not in ("", whole))
 
 
 def _span(places: Sequence[tuple[float, str]]) -> str:
@@ -336,7 +353,8 @@ def unsettled_runs(report: Report) -> str:
     named = f"{len(texts)} of {runs} runs had not settled: {_grouped(report, texts)}"
     if len(texts) == runs:
         return f"No run had settled, so these numbers depend on when they are read; {after}."
-    return f"{named}. Their numbers depend on when they are read; {after}."
+    whose = "Its" if len(texts) == 1 else "Their"
+    return f"{named}. {whose} numbers depend on when they are read; {after}."
 
 
 def _runs(report: Report) -> dict[tuple[str, str, Condition], Row]:

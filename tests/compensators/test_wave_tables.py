@@ -148,7 +148,7 @@ def test_a_replay_reproduces_the_stated_error(tmp_path, capsys, options, separat
     if "nv200" in options:
         assert table.shape[1] == 1000  # of 1024; 800 us would be too few a point
     text = out.read_text()
-    assert "untried on a device" in text
+    assert "not tested on hardware" in text
     assert (f"Table rate {hold} at a servo update time of 50 us" in text) == ("pi" in options)
     limits = (
         f"points {table.shape[1]}, rate {1.0 / (hold * T):g} Hz, low {table.min():g}, high {table.max():g}"

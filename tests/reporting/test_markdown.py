@@ -110,7 +110,8 @@ def test_answer_gives_the_worst_distances_with_their_part_of_the_radius() -> Non
     ]
     text = answer(replace(report, rows=tuple(rows)), quote=str.upper)
     assert text.startswith(
-        "The worst distance of the reading from the reference: PAPER 2.00 um (5 %), NONE 10.0 um (25 %). No "
+        "The worst distance of the reading from the reference: PAPER 2.00 um (5 % of 40 um), NONE "
+        "10.0 um (25 % of 40 um). No "
     )
 
 
@@ -132,7 +133,8 @@ def test_conditions_of_an_answer_are_points_of_a_list() -> None:
     )  # fmt: skip
     page = render(with_rms(two, lambda label, f: f / (10.0 if label == "paper" else 5.0)))
     assert (
-        "\nThe rms error of the reading, in order of the geometric mean:\n\n"
+        "\nThe rms error of the reading for 40 um, worst axis, ranked by the geometric mean over 2 "
+        "frequencies:\n\n"
         "| direct / cross-coupling [um] | 20 Hz | 50 Hz |\n"
         "| --- | ---: | ---: |\n"
         "| *paper* | 2.00 / 0.200 | 5.00 / 0.500 |\n"
@@ -148,7 +150,8 @@ def test_what_is_said_of_several_stands_once() -> None:
 def test_answer_tells_the_errors_of_a_single_frequency() -> None:
     text = answer(with_rms(sine(), lambda label, _: 3.0 if label == "paper" else 0.5))
     assert text == (
-        "The rms error of the reading: direct / cross-coupling [um]; 50 Hz, 40 um none; 0.500 / 0.0500 "
+        "The rms error of the reading, worst axis: direct / cross-coupling [um]; 50 Hz, 40 um none; "
+        "0.500 / 0.0500 "
         "paper; 3.00 / 0.300 No voltage was clipped. Every run had settled."
     )
 
@@ -159,7 +162,9 @@ def test_beyond_the_paper_the_true_position_comes_first() -> None:
         for report in (circle(), sine())
     )
     assert answer(paths).startswith("The worst distance of the true position from the reference: ")
-    assert answer(sines).startswith("The rms error of the true position: direct / cross-coupling [um]; ")
+    assert answer(sines).startswith(
+        "The rms error of the true position, worst axis: direct / cross-coupling [um]; "
+    )
 
 
 def test_answer_tells_who_is_best_where_and_shows_the_worst_of_the_best() -> None:
@@ -169,7 +174,8 @@ def test_answer_tells_who_is_best_where_and_shows_the_worst_of_the_best() -> Non
     found = sentences(with_rms(swept(), rms))[0]
     assert found.words == (
         "Smallest direct error: paper from 10 Hz to 30 Hz and none (no compensator is better) from 40 Hz to "
-        "60 Hz. The rms error of the reading, in order of the geometric mean:"
+        "60 Hz. The rms error of the reading for 40 um, worst axis, ranked by the geometric mean "
+        "over 6 frequencies:"
     )
     assert found.table == (
         ("direct / cross-coupling [um]", "10 Hz", "40 Hz", "60 Hz"),
@@ -182,7 +188,7 @@ def test_answer_tells_who_is_best_where_and_shows_the_worst_of_the_best() -> Non
 
 def test_answer_counts_where_the_best_changes_too_often() -> None:
     text = answer(with_rms(swept(), lambda label, f: float((f % 20.0 == 0.0) == (label == "paper")) + 1.0))
-    assert text.startswith("paper has the smallest direct error at 3 of 6 points. The rms error ")
+    assert text.startswith("paper has the smallest direct error at 3 of 6 frequencies. The rms error ")
 
 
 LINE = 105
@@ -313,7 +319,7 @@ def test_one_statement_that_is_left_out_is_one() -> None:
 def test_many_loops_that_had_not_settled_are_named() -> None:
     said = tuple(f"law {k} at {10 * k} Hz, axis x: the position has not settled; try." for k in range(1, 6))
     text = answer(replace(swept(), statements=said))
-    assert "5 of 24 runs had not settled: law 1, law 2, law 3, 2 more (10 to 50 Hz). Their " in text
+    assert "5 of 24 runs had not settled: law 1; law 2; law 3; 2 more (10 to 50 Hz). Their " in text
     assert "law 1 (1 run, 10 Hz); law 2 (1 run, 20 Hz). " in answer(replace(swept(), statements=said[:2]))
 
 

@@ -27,7 +27,7 @@ COLUMNS = ("u_x", "u_y"), ("x", "y")
 
 def build(folder: Path) -> None:
     """Write them into a folder in which the scenario ``circle.toml`` lies."""
-    write_path(folder / "path.csv")
+    write_paths(folder)
     files = [write_record(folder, axis) for axis in range(2)]
     identify_stage(files, folder / "stage.json")
     report = run(folder / "circle.toml")
@@ -56,12 +56,14 @@ def write_record(folder: Path, axis: int) -> Path:
     return place
 
 
-def write_path(place: Path) -> None:
-    """A circle of 20 um that begins at rest."""
-    time_s = SAMPLE_TIME_S * np.arange(1600)
-    grown, turn = np.minimum(1.0, time_s / 0.02) ** 2, 2.0 * np.pi * 50.0 * time_s
-    path = {"time_s": time_s, "x": 20.0 * grown * np.sin(turn), "y": 20.0 * grown * (1.0 - np.cos(turn))}
-    pd.DataFrame(path).round(6).to_csv(place, index=False, lineterminator="\n")
+def write_paths(folder: Path) -> None:
+    """A circle of 20 um at 50 Hz: four turns that grow from rest, and one whole period."""
+    for name, samples, growing in (("path", 1600, 400), ("period", 400, 1)):
+        n = np.arange(samples)
+        time_s, grown = SAMPLE_TIME_S * n, np.minimum(1.0, n / growing) ** 2
+        turn = 2.0 * np.pi * 50.0 * time_s
+        path = {"time_s": time_s, "x": 20.0 * grown * np.sin(turn), "y": 20.0 * grown * (1.0 - np.cos(turn))}
+        pd.DataFrame(path).round(6).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
 
 
 def identify_stage(files: list[Path], place: Path) -> None:

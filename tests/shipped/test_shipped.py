@@ -18,7 +18,8 @@ from hammerstein.records.reading import read_records
 from hammerstein.runtime.manifest import Manifest, digest_of
 from shipped import paper_actuators, stacks, starter
 
-MADE = ("path.csv", "record_x.csv", "record_y.csv")
+MADE = ("path.csv", "period.csv", "record_x.csv", "record_y.csv")
+RECORDS = MADE[2:]
 
 
 def test_packaged_actuators_are_what_their_command_makes(tmp_path):
@@ -36,7 +37,7 @@ def test_packaged_actuators_are_what_their_command_makes(tmp_path):
 
 
 def test_records_and_path_of_the_starter_are_what_its_command_makes(tmp_path):
-    starter.write_path(tmp_path / "path.csv")
+    starter.write_paths(tmp_path)
     for axis in range(2):
         starter.write_record(tmp_path, axis)
     for name in MADE:
@@ -45,10 +46,10 @@ def test_records_and_path_of_the_starter_are_what_its_command_makes(tmp_path):
 
 
 def test_the_first_command_of_the_readme_follows_the_shipped_records_to_their_noise():
-    """Noise and rounding are all that is left; coarse thresholds once left a low-pass of 2.5 us in the model."""
+    """Noise and rounding are left; coarse thresholds once kept a low-pass of 2.5 us in the model."""
     inputs, outputs = starter.COLUMNS
     records = read_records(
-        [STARTER / name for name in MADE[1:]], inputs=inputs, outputs=outputs, time="time_s"
+        [STARTER / name for name in RECORDS], inputs=inputs, outputs=outputs, time="time_s"
     )
     model, fit = identify(records, Settings(sensor_bandwidth_hz=2000.0))
     plant = HammersteinModel.load(DEFAULT)
