@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -114,11 +114,6 @@ class Paper(Assessment):
     def actuators(self) -> tuple[str, ...]:
         """The other actuators."""
         return tuple(other.actuator for other in self.also_on)
-
-    def with_actuators(self, resolved: Callable[[str], str]) -> Self:
-        """Return the same with the places of model files as ``resolved`` says."""
-        others = (o.model_copy(update={"actuator": resolved(o.actuator)}) for o in self.also_on)
-        return self.model_copy(update={"also_on": tuple(others)})
 
     def judge(
         self, scenario: Scenario, name: str, model: HammersteinModel, rows: Sequence[Row], store: Store | None

@@ -5,10 +5,10 @@ Each kind is a plug-in (``register``, or the entry point group ``hammerstein.blo
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticKnownError
@@ -80,12 +80,8 @@ class Assessment(Strict, ABC):
         return ""
 
     def actuators(self) -> tuple[str, ...]:
-        """Packaged actuators and model files that it uses."""
+        """Packaged actuators and model files that it uses: in a file, they stand under ``actuator``."""
         return ()
-
-    def with_actuators(self, resolved: Callable[[str], str]) -> Self:
-        """Return the same with the paths of its model files replaced by ``resolved``."""
-        return self
 
     @abstractmethod
     def judge(

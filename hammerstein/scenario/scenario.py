@@ -7,7 +7,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -257,7 +257,7 @@ class Scenario(WithInfinity):
     def portable(self) -> dict[str, Any]:
         """Content as plain JSON, independent of the location of its files."""
         content = json.loads(self.model_dump_json(exclude_none=True))
-        return {key: _without_folders(value, key) for key, value in content.items()}
+        return dict(_with_paths(content, lambda _, name: Path(name).name))
 
     def metrics(self) -> list[Metric]:
         """Figures of merit of a run: those of every run, and those of its assessment."""
@@ -297,13 +297,13 @@ ScenarioSource = Scenario | str | Path | Mapping[str, Any]
 """A scenario, its file, or the content of a file."""
 
 
-def _without_folders(value: Any, key: str = "") -> Any:
-    """The same content wherever the files lie: of a path only its last part is kept."""
+def _with_paths(value: Any, path_of: Callable[[str, str], str], key: str = "") -> Any:
+    """The same content with other paths of its files, wherever they stand; ``path_of`` takes key and name."""
     if isinstance(value, dict):
-        return {k: _without_folders(v, k) for k, v in value.items()}
+        return {k: _with_paths(v, path_of, k) for k, v in value.items()}
     if isinstance(value, list):
-        return [_without_folders(v) for v in value]
-    return Path(value).name if key in {"actuator", "model", "path"} and isinstance(value, str) else value
+        return [_with_paths(v, path_of) for v in value]
+    return path_of(key, value) if key in {"actuator", "model", "path"} and isinstance(value, str) else value
 
 
 def scenario_of(source: ScenarioSource) -> tuple[str, Scenario]:
@@ -350,11 +350,13 @@ def load_scenario(path: str | Path) -> Scenario:
     path = Path(path)
     text = read_limited(path, what="scenario file", limit=1_000_000)
     data = _parsed(text, path)
-    return _relative_to(_validated(data, str(path), path.parent), path.parent)
+    return _validated(data, str(path), path.parent)
 
 
 def _validated(data: Mapping[str, Any], source: str, folder: Path | None = None) -> Scenario:
     unknown = list(_unknown_models(data, folder or Path()))
+    if folder is not None:
+        data = _with_paths(data, partial(_resolved, folder))
     try:
         scenario = _strictly(data)
     except ValidationError as error:
@@ -417,7 +419,7 @@ def _unknown_models(data: Mapping[str, Any], folder: Path) -> Iterator[Mistake]:
         if not isinstance(name, str) or not name.isprintable():
             continue  # told by the validation
         try:
-            place_of(_resolved(name, folder)).stat()
+            place_of(_resolved(folder, "model", name)).stat()
         except InputError as error:
             yield Mistake(where, f"{name!r} {error.mistakes[0].what}")
         except OSError as error:
@@ -437,23 +439,6 @@ def _named_models(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
                     yield from ((f"{key}[{i}].{where}", name) for where, name in _named_models(entry))
 
 
-def _relative_to(scenario: Scenario, folder: Path) -> Scenario:
-    """Make the paths of files relative to the scenario's folder."""
-    changes: dict[str, Any] = {"actuator": _resolved(scenario.actuator, folder)}
-    if scenario.assessment is not None:
-        changes["assessment"] = scenario.assessment.with_actuators(partial(_resolved, folder=folder))
-    for name in ("compensators", "models"):
-        sources = getattr(scenario, name)
-        changes[name] = tuple(
-            s if s.model is None else s.model_copy(update={"model": _resolved(s.model, folder)})
-            for s in sources
-        )
-    for name in ("reference", "drive"):
-        signal = getattr(scenario, name)
-        if isinstance(signal, FromFile):
-            changes[name] = signal.model_copy(update={"path": str(folder / signal.path)})
-    return scenario.model_copy(update=changes)
-
-
-def _resolved(name: str, folder: Path) -> str:
-    return str(folder / name) if name.endswith(".json") else name
+def _resolved(folder: Path, key: str, name: str) -> str:
+    """Path of a file that a scenario in a folder names; a packaged actuator has no suffix."""
+    return str(folder / name) if key == "path" or name.endswith(".json") else name
