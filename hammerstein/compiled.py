@@ -185,13 +185,13 @@ def _digest() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
 
-class _Watch(numba_events.Listener):
+class _Watch(numba_events.TimingListener):
     """Says once what is compiled and how long that took the last time; keeps how long it takes.
 
     Processes that work for another one are silent.
     """
 
-    said, depth, seconds, began = False, 0, 0.0, 0.0
+    said = False
 
     def on_start(self, begun: Any) -> None:
         """Begin to compile a loop, or one that it calls."""
@@ -201,21 +201,17 @@ class _Watch(numba_events.Listener):
             loop = begun.data["dispatcher"].py_func.__name__
             _warn_once(f"compiling {loop} and other loops to machine code; {known}")
         self.said = True
-        if self.depth == 0:
-            self.began = time.monotonic()
-        self.depth += 1
+        super().on_start(begun)  # type: ignore[no-untyped-call]  # numba has no types
 
     def on_end(self, ended: Any) -> None:
         """End it."""
-        self.depth -= 1
-        if self.depth == 0:
-            self.seconds += time.monotonic() - self.began
-            with suppress(OSError):
-                if (place := _note()) is not None:
-                    place.write_text(f"{self.seconds:.1f}\n", encoding="utf-8")
+        super().on_end(ended)  # type: ignore[no-untyped-call]
+        with suppress(OSError):
+            if self.done and (place := _note()) is not None:
+                place.write_text(f"{self.duration:.1f}\n", encoding="utf-8")
 
 
-event.register("numba:compile", _Watch())
+event.register("numba:compile", _Watch())  # type: ignore[no-untyped-call]
 
 
 def _note() -> Path | None:

@@ -1,7 +1,5 @@
 """Validation of files: findings of pydantic as mistakes with place and remedy."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import re

@@ -10,8 +10,8 @@ from pydantic import BaseModel
 
 from hammerstein.errors import InputError
 from hammerstein.files import read_limited
-from hammerstein.records.array_files import SUFFIXES, arrays_in
-from hammerstein.records.readers import PARQUET, read_columns, refuse_missing
+from hammerstein.records.file_formats import SUFFIXES
+from hammerstein.records.readers import PARQUET, arrays_in, read_columns, refuse_missing
 from hammerstein.validation import mistakes_in
 
 Facts = tuple[tuple[str, str], ...]

@@ -2,7 +2,7 @@
 
 import cmath
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -40,30 +40,26 @@ def recorded(setup: SetUp, case: Case) -> tuple[Response, Sequence[Target]]:
     every = setup.scenario.measure.record_every or 1
     long = every > 1 and setup.runs_on(case)
     block, recorded_part = max(RECORDED_BLOCK // every, 1) * every, slice(None, None, every)
-    parts, targets = [], []
-    memory: Mapping[str, PredictionState] = {}
+    parts, targets, memory = [], [], dict[str, PredictionState]()
     for part in setup.blocks(case, block) if long else [setup.simulate(case)]:
-        found, memory = targets_of(setup, case, part, memory)
         parts.append(part.every(every))
-        targets.append([target.part(recorded_part) for target in found])
+        targets.append([target.part(recorded_part) for target in targets_of(setup, case, part, memory)])
     return Response.joined(parts), [_joined(same) for same in zip(*targets, strict=True)]
 
 
 def targets_of(
-    setup: SetUp, case: Case, response: Response, start: Mapping[str, PredictionState] | None = None
-) -> tuple[Sequence[Target], Mapping[str, PredictionState]]:
-    """Targets of a response, if any, and the memory of the models after it."""
+    setup: SetUp, case: Case, response: Response, memory: dict[str, PredictionState]
+) -> Sequence[Target]:
+    """Targets of a response, if any; the memory of the models, by label, is carried on."""
     if response.reference_um is not None:
-        return [Target(case.label, response.reference_um, response.reference_um)], {}
-    found: list[Target] = []
-    memory = {}
+        return [Target(case.label, response.reference_um, response.reference_um)]
+    found = []
     for source in setup.scenario.models:
         if source.is_tested_at(case.signal.highest_frequency_hz):
-            before = (start or {}).get(source.label, PredictionState())
-            model = setup.models[source.label]
+            model, before = setup.models[source.label], memory.get(source.label, PredictionState())
             reading, position, memory[source.label] = _prediction(setup, model, response.drive_v, before)
             found.append(Target(source.label, reading, position))
-    return found, memory
+    return found
 
 
 def _prediction(
@@ -233,7 +229,7 @@ def _refuse_still(setup: SetUp, case: Case, response: Response) -> None:
 def drawn_rows(setup: SetUp, case: Case, response: Response) -> tuple[Row, ...]:
     """Rows of one case with only those figures that have a band for an uncertain actuator."""
     drawn = [metric for metric in metrics_of() if metric.drawn]
-    return tuple(_rows(setup, case, response, targets_of(setup, case, response)[0], drawn))
+    return tuple(_rows(setup, case, response, targets_of(setup, case, response, {}), drawn))
 
 
 def _rows(

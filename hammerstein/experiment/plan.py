@@ -10,7 +10,6 @@ import timeit
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from functools import cache
-from heapq import heapify, heappop, heapreplace
 
 import numpy as np
 
@@ -143,18 +142,10 @@ def longest_first(plans: Mapping[str, Plan]) -> list[str]:
     An identification that several plans share counts for the first of them, so that it is not done twice in
     parallel.
     """
-    kept, order = set[Hashable](), list[str]()
-    waiting = [(-plan.seconds, number, name) for number, (name, plan) in enumerate(plans.items())]
-    heapify(waiting)
-    while waiting:
-        before, number, name = waiting[0]
-        now = -plans[name].without(kept).seconds  # it may only have become less
-        if now > before:
-            heapreplace(waiting, (now, number, name))
-            continue
-        heappop(waiting)
-        order.append(name)
-        kept |= plans[name].kept
+    kept, order, left = set[Hashable](), list[str](), dict(plans)
+    while left:
+        order.append(max(left, key=lambda name: left[name].without(kept).seconds))
+        kept |= left.pop(order[-1]).kept
     return order
 
 

@@ -130,7 +130,7 @@ class SetUp:
         window = Window.of(scenario, case.signal, plant.sample_time_s)
         m, p = plant.model.hysteresis.n_inputs, plant.model.hysteresis.n_outputs
         refuse_too_long(window.total, m, p)
-        law = None if scenario.drive is not None else self.laws[case.label]
+        law = self.laws.get(case.label)
         wires = allocate_wires(2 * m + p * (law is not None), window.total)
         drive_v, asked_v, path_um = np.split(wires, [m, 2 * m])
         if law is None:
@@ -141,16 +141,11 @@ class SetUp:
             return lambda tested, seed: closed_loop(law, tested, path_um, case.seed(seed))
         if isinstance(law, Learner):
             return self._learning(case, law, path_um, window)
-        known_um = self._going_on(case, path_um, law.preview_samples)
+        known_um, ahead = path_um, law.preview_samples
+        if ahead and case.signal.periodic:  # the path goes on beyond the run
+            known_um = np.hstack([path_um, self._values(case, window.total, window.total + ahead)])
         asked_v = _asked_for(law, known_um, asked_v)[:, : window.total]
         return _following(plant, plant.driven(asked_v, True, out=drive_v), path_um, case)
-
-    def _going_on(self, case: Case, path_um: Array, ahead: int) -> Array:
-        """The path and as much of what follows as a law looks ahead, where it goes on beyond the run."""
-        if not (ahead and case.signal.periodic):
-            return path_um
-        samples = path_um.shape[1]
-        return np.hstack([path_um, self._values(case, samples, samples + ahead)])
 
     def _sample(self, case: Case, values: Array) -> None:
         """Put the signal of a case into an array (axis, sample), piece by piece, which stay in the cache."""
@@ -176,7 +171,7 @@ class SetUp:
 
     def runs_on(self, case: Case) -> bool:
         """Whether a case can be simulated in blocks: its law has no preview, feedback or learning."""
-        law = None if self.scenario.drive is not None else self.laws[case.label]
+        law = self.laws.get(case.label)
         return law is None or (isinstance(law, Law) and not law.preview_samples)
 
     def blocks(self, case: Case, samples: int) -> Iterator[Response]:
@@ -186,7 +181,7 @@ class SetUp:
         """
         scenario, plant = self.scenario, self.plant
         total = Window.of(scenario, case.signal, plant.sample_time_s).total
-        law = None if scenario.drive is not None else self.laws[case.label]
+        law = self.laws.get(case.label)
         if not (law is None or isinstance(law, Law)) or not self.runs_on(case):
             raise InputError(
                 f"compensator {case.label!r}",

@@ -100,15 +100,6 @@ class Measured:
         """Middle (output,) of the path [um], from which radii are counted."""
         return np.zeros(len(self.reading_um)) if self.middle_um is None else self.middle_um
 
-    @cached_property
-    def unsaturated(self) -> NDArray[np.bool_]:
-        """Samples (sample,) at which no voltage is clipped, nor was within the last ``RECOVERY_S``."""
-        if not self.saturated.any():
-            return np.ones(self.saturated.shape[1], dtype=np.bool_)
-        cut = np.asarray(self.saturated.any(axis=0), dtype=np.float64)
-        recovery = np.ones(round(RECOVERY_S / self.sample_time_s) + 1)
-        return np.asarray(np.convolve(cut, recovery)[: cut.size] < 0.5)
-
 
 Values = Sequence[float | None] | float | None
 """One value for each output, or one for all of them; None where the figure has no meaning."""
@@ -210,11 +201,13 @@ for _of, _true, _read in (("errors", "", "reading"), ("true_errors", "_true", "t
     "and the 10 ms after each [um]"
 )
 def euclidean_max_unsaturated_um(m: Measured) -> Values:
-    if m.true_errors is None or not m.saturated.any():
-        return None if m.true_errors is None else m.true_errors.distance_worst
-    if m.target_position_um is None or not m.unsaturated.any():
+    if m.true_errors is None or m.target_position_um is None:
         return None
-    return worst(euclidean(m.position_um - m.target_position_um)[m.unsaturated])
+    if not m.saturated.any():
+        return m.true_errors.distance_worst
+    cut, recovery = m.saturated.any(axis=0), np.ones(round(RECOVERY_S / m.sample_time_s) + 1)
+    kept = np.convolve(cut, recovery)[: cut.size] < 0.5
+    return worst(euclidean(m.position_um - m.target_position_um)[kept]) if kept.any() else None
 
 
 @metric(

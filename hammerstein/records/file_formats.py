@@ -1,6 +1,8 @@
-"""Readers for formats that NumPy does not support: MATLAB 4 to 7.2, Excel workbooks, LabVIEW TDMS."""
+"""Arrays in files of NumPy, MATLAB, HDF5, Excel and LabVIEW (TDMS), by their names."""
 
 import math
+import re
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,10 +13,238 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hammerstein.errors import InputError
 from hammerstein.quantities import unique
+from hammerstein.records import checks
 from hammerstein.records.checks import refuse_large
 from hammerstein.signals.signal_files import OF_TIME
 from hammerstein.signals.units import is_unit, unit_in, unit_of
+
+HDF5, BEFORE_HDF5 = b"\x89HDF\r\n\x1a\n", 512
+"""Sign of an HDF5 file, and size of MATLAB's header before it."""
+GENERIC_HDF5 = (".h5", ".hdf5")
+EXCEL, TDMS = ".xlsx", ".tdms"
+SUFFIXES = (".npy", ".npz", ".mat", *GENERIC_HDF5, EXCEL, TDMS)
+MOST_OBJECTS = 100_000
+"""Most variables of an HDF5 file; a file with more is no record."""
+UNIT_NAMES = ("unit_string", "units", "unit")
+"""Attributes that hold a unit, without regard to case: of National Instruments, and of most HDF5 files."""
+
+
+class Variable(NamedTuple):
+    """One array of a file.
+
+    load : gives its numbers; unit : as the file states it, empty where it states none
+    """
+
+    load: Callable[[], Any]
+    unit: str = ""
+
+
+Variables = Mapping[str, Variable]
+"""Name of each array in a file; the only one of an ``.npy`` file has no name."""
+
+
+def stated_unit(attributes: Mapping[str, Any]) -> str:
+    """Unit among the attributes of an array; empty where there is none, or no text.
+
+    Examples
+    --------
+    >>> stated_unit({"Units": b"mV"}), stated_unit({"unit_string": "um"}), stated_unit({"units": 3})
+    ('mV', 'um', '')
+    """
+    named = {name.lower(): value for name, value in attributes.items()}
+    for name in UNIT_NAMES:
+        value = named.get(name)
+        text = value.decode("utf-8", errors="replace") if isinstance(value, bytes) else value
+        if isinstance(text, str) and text.strip():
+            return text.strip()
+    return ""
+
+
+def variables_of(path: Path) -> Variables:
+    """Arrays of a file by their names, each with the unit that the file states; InputError if unreadable."""
+    suffix = path.suffix.lower()
+    try:
+        found = _READERS[suffix](path)
+    except ImportError:
+        kind, extra = _EXTRAS[suffix]
+        what = f"is {kind}: pip install 'hammerstein-control[{extra}]', or save it as CSV"
+        raise InputError(str(path), what) from None
+    except Exception as error:  # a damaged file: they raise whatever they stumble over
+        why = reason_of(error)
+        what = f"cannot be read as a {suffix} file ({why}); was it cut short, or is it of another kind?"
+        raise InputError(str(path), what) from None
+    if not found:
+        what = f"has no array of numbers; is it a {suffix} file, with signals as plain numeric arrays?"
+        raise InputError(str(path), what)
+    return found
+
+
+def reason_of(error: Exception) -> str:
+    """Error message of a library for a damaged file, without parts that a person cannot read."""
+    text = str(error).partition("\n")[0]
+    if re.search(r"pickle|Python objects|Object arrays", text):
+        return "it contains other things than numbers"
+    return "its header is damaged" if " object at 0x" in text or not text else text[:200]
+
+
+def _numpy_array(path: Path) -> Variables:
+    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    if array.dtype.names:
+        return {name: Variable(partial(array.__getitem__, name)) for name in array.dtype.names}
+    return {"": Variable(lambda: array)}
+
+
+def _numpy_archive(path: Path) -> Variables:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        names = list(archive.files)
+
+    def load(name: str) -> Any:
+        refuse_large(*_declared(path, name))
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return archive[name]
+
+    return {name: Variable(partial(load, name)) for name in names}
+
+
+def _declared(path: Path, name: str) -> tuple[tuple[int, ...], int]:
+    """Shape and bytes of a number that the header of an array in an ``.npz`` file declares."""
+    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as file:
+        old = np.lib.format.read_magic(file) == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+        shape, _, kind = read(file)
+        return tuple(shape), kind.itemsize
+
+
+def _matlab(path: Path) -> Variables:
+    with path.open("rb") as file:
+        begin = file.read(BEFORE_HDF5 + len(HDF5))
+    if HDF5 in (begin[: len(HDF5)], begin[BEFORE_HDF5:]):
+        return _hdf5(path, matlab=True)
+    if is_matlab_v5(begin):
+        content = read_matlab_v5(path, most_bytes=8 * checks.MOST_NUMBERS)
+    elif is_matlab_v4(begin):
+        content = _matlab_v4(path)
+    else:
+        raise ValueError("it has neither the byte-order mark of version 5 nor the first number of version 4")
+    found = (pair for name, value in content.items() if name[:2] != "__" for pair in _flat(name, value))
+    return {name: Variable(partial(np.asarray, value)) for name, value in found}
+
+
+def _matlab_v4(path: Path) -> dict[str, Any]:
+    """Version 4, by SciPy, whose reader of this version is Python; of others it is compiled and may die."""
+    import scipy.io
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # SciPy warns of what it cannot read; that is left out here
+        listed = scipy.io.whosmat(path)
+        numbers = sum(math.prod(shape) for _, shape, _ in listed)
+        if numbers > path.stat().st_size or any(min(shape) < 0 for _, shape, _ in listed):
+            raise ValueError("it declares more numbers than it contains")
+        content: dict[str, Any] = scipy.io.loadmat(path)
+    return content
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Numeric arrays inside a variable; fields of structures get dotted names."""
+    if not isinstance(value, np.ndarray):
+        return
+    if value.dtype.names:
+        for k, item in enumerate(value.flatten(order="F"), start=1):
+            number = f".{k}" if value.size > 1 else ""  # a lone structure has none
+            for field in value.dtype.names:
+                yield from _flat(f"{name}{number}.{field}", item[field])
+    elif value.dtype == object:
+        for k, item in enumerate(value.flatten(order="F"), start=1):
+            yield from _flat(f"{name}.{k}", item)
+    elif value.dtype.kind in "biufc" and value.size:
+        yield name, value
+
+
+def _hdf5(path: Path, matlab: bool = False) -> Variables:
+    """Numeric arrays of an HDF5 file by their path in it, with dots.
+
+    matlab : whether it is one of MATLAB 7.3, with the axes of every array in reverse order; then text, empty
+        arrays and what its objects refer to are left out, and cells and arrays of structures are looked into
+    """
+    import h5py
+
+    places: dict[str, tuple[str, str]] = {}
+    seen: set[int] = set()
+
+    def note(name: str, item: Any) -> None:
+        if _refused(item, seen):
+            return
+        kind = item.attrs.get("MATLAB_class", b"double") if matlab else None
+        if isinstance(item, h5py.Group):
+            for member, inside in _members(item) if matlab else _inside(item):
+                note(f"{name}.{member}", inside)
+        elif item.dtype == h5py.ref_dtype and kind == b"cell":
+            for number, inside in _referred(item):
+                note(f"{name}.{number}", inside)
+        elif item.dtype.kind in "biuf" and kind != b"char" and not (matlab and "MATLAB_empty" in item.attrs):
+            places[name] = item.name, stated_unit(item.attrs)
+
+    def load(place: str) -> Any:
+        with h5py.File(path, "r") as file:
+            refuse_large(file[place].shape)
+            array = file[place][()]
+            return array.T if matlab else array
+
+    with h5py.File(path, "r") as file:
+        _refused(file, seen)
+        for name, item in _inside(file):
+            if not (matlab and name.startswith("#")):
+                note(name, item)
+    return {name: Variable(partial(load, place), unit) for name, (place, unit) in places.items()}
+
+
+def _refused(item: Any, seen: set[int]) -> bool:
+    """Whether a group or cell was looked into before, under another name; ValueError for what no record is.
+
+    It lies at one address of the file, however many links lead to it.
+    """
+    import h5py
+
+    if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
+        raise ValueError(f"{item.name} is in another file; save it in this one")
+    address = h5py.h5o.get_info(item.id).addr
+    known = address in seen
+    seen.add(address)
+    if len(seen) > MOST_OBJECTS:
+        raise ValueError(f"it has more than {MOST_OBJECTS} objects")
+    return known and (isinstance(item, h5py.Group) or item.dtype == h5py.ref_dtype)
+
+
+def _inside(group: Any) -> Iterator[tuple[str, Any]]:
+    """Objects of a group; ValueError for a link to another file."""
+    import h5py
+
+    for name in group:
+        if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+            raise ValueError(f"{name} is in another file; save it in this one")
+        yield name, group[name]
+
+
+def _referred(item: Any) -> Iterator[tuple[int, Any]]:
+    """Objects that an array of references names, by number."""
+    refuse_large(item.shape)
+    for number, reference in enumerate(item[()].flat, start=1):
+        yield number, item.file[reference]
+
+
+def _members(group: Any) -> Iterator[tuple[str, Any]]:
+    """Fields of a structure; those of an array of structures stand under the number of each."""
+    import h5py
+
+    for field, item in _inside(group):
+        several = isinstance(item, h5py.Dataset) and item.dtype == h5py.ref_dtype
+        if several and item.attrs.get("MATLAB_class") is None:
+            yield from ((f"{number}.{field}", inside) for number, inside in _referred(item))
+        else:
+            yield field, item
+
 
 HEADER_BYTES = 128  # MAT-File Format, header
 LOOKED_AT = 1000  # bytes of a compressed variable in which its size stands
@@ -24,8 +254,7 @@ MATRIX, COMPRESSED = 14, 15
 """Types of an element (MAT-File Format, data types)."""
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """Storage types of numbers, by the type in their tag."""
-TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
-CELL, STRUCTURE, TEXT = 1, 2, 4
+CELL, STRUCTURE = 1, 2
 """Classes of an array (MAT-File Format, MATLAB array types)."""
 ARRAYS = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 """NumPy types of MATLAB arrays, by their class."""
@@ -115,7 +344,7 @@ class Reader:
         parts = self.elements(data)
         flags = self.numbers(_next(parts), 2)
         class_, flag = int(flags[0]) & 0xFF, int(flags[0]) >> 8
-        if class_ not in ARRAYS and class_ not in (CELL, STRUCTURE, TEXT):
+        if class_ not in ARRAYS and class_ not in (CELL, STRUCTURE):
             return "", UNREAD
         dimensions = _next(parts)
         shape = tuple(int(n) for n in self.numbers(dimensions, len(dimensions.data) // 4))
@@ -125,11 +354,6 @@ class Reader:
         if count > len(data):
             raise ValueError(f"an array of {count:.3g} values is stored in {len(data)} bytes")
         name = bytes(_next(parts).data).decode("latin-1")
-        if class_ == TEXT:
-            text = _next(parts)
-            if text.kind not in TEXTS:
-                raise ValueError(f"a text is stored as type {text.kind}")
-            return name, np.array([bytes(text.data).decode(TEXTS[text.kind], errors="replace")])
         if class_ in (CELL, STRUCTURE):
             self.spend(count * MEMBER_BYTES)
         if class_ == CELL:
@@ -175,8 +399,8 @@ def is_matlab_v4(begin: bytes) -> bool:
 def read_matlab_v5(path: Path, most_bytes: int) -> dict[str, Any]:
     """Variables of a MATLAB file of version 5 to 7.2 by name, every length checked against the file.
 
-    SciPy's compiled reader crashed the process on some damaged files. Arrays of numbers, texts, cells and
-    structures are returned as SciPy returns them; sparse matrices, objects and functions are skipped.
+    SciPy's compiled reader crashed the process on some damaged files. Arrays of numbers, cells and structures
+    are returned as SciPy returns them; texts, sparse matrices, objects and functions are skipped.
 
     Source: The MathWorks, MAT-File Format (2015), chapter 1.
 
@@ -206,41 +430,6 @@ def _next(parts: Iterator[Element]) -> Element:
     if element is None:
         raise ValueError("a variable is cut short")
     return element
-
-
-UNIT_NAMES = ("unit_string", "units", "unit")
-"""Attributes that hold a unit, without regard to case: of National Instruments, and of most HDF5 files."""
-
-
-class Variable(NamedTuple):
-    """One array of a file.
-
-    load : gives its numbers; unit : as the file states it, empty where it states none
-    """
-
-    load: Callable[[], Any]
-    unit: str = ""
-
-
-Variables = Mapping[str, Variable]
-"""Name of each array in a file; the only one of an ``.npy`` file has no name."""
-
-
-def stated_unit(attributes: Mapping[str, Any]) -> str:
-    """Unit among the attributes of an array; empty where there is none, or no text.
-
-    Examples
-    --------
-    >>> stated_unit({"Units": b"mV"}), stated_unit({"unit_string": "um"}), stated_unit({"units": 3})
-    ('mV', 'um', '')
-    """
-    named = {name.lower(): value for name, value in attributes.items()}
-    for name in UNIT_NAMES:
-        value = named.get(name)
-        text = value.decode("utf-8", errors="replace") if isinstance(value, bytes) else value
-        if isinstance(text, str) and text.strip():
-            return text.strip()
-    return ""
 
 
 def excel_columns(path: Path) -> Variables:
@@ -328,3 +517,19 @@ def tdms_channels(path: Path) -> Variables:
     if step and "time" not in kinds and names.isdisjoint(OF_TIME):
         found["time_s"] = Variable(lambda: np.arange(samples) * step, "s")
     return found
+
+
+_READERS: Mapping[str, Callable[[Path], Variables]] = {
+    ".npy": _numpy_array,
+    ".npz": _numpy_archive,
+    ".mat": _matlab,
+    **dict.fromkeys(GENERIC_HDF5, _hdf5),
+    EXCEL: excel_columns,
+    TDMS: tdms_channels,
+}
+_EXTRAS = {
+    ".mat": ("a MATLAB file of version 7.3", "matlab"),
+    **dict.fromkeys(GENERIC_HDF5, ("an HDF5 file", "matlab")),
+    EXCEL: ("an Excel workbook", "excel"),
+    TDMS: ("a TDMS file", "tdms"),
+}

@@ -8,6 +8,7 @@ import numpy as np
 
 from hammerstein.arrays import Array, Complex
 from hammerstein.errors import Mistake, refuse
+from hammerstein.quantities import by_key
 from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import turning_points
 from hammerstein.signals.text_tables import where
@@ -288,11 +289,8 @@ def doubtful_order(gains: Sequence[Gain]) -> list[str]:
 
 def _strongest(gains: Sequence[Gain]) -> list[Gain]:
     """Strongest effect of each input."""
-    found: dict[str, Gain] = {}
-    for gain in gains:
-        if abs(gain.um_per_v) >= abs(found.get(gain.input, gain).um_per_v):
-            found[gain.input] = gain
-    return list(found.values())
+    each = by_key(gains, lambda gain: gain.input).values()
+    return [max(reversed(own), key=lambda gain: abs(gain.um_per_v)) for own in each]
 
 
 ALIKE = 0.5
@@ -382,19 +380,14 @@ def leads(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
     driven = [driven_inputs(record) for record in records]
     alike = [np.abs(_unit(record.y_um) @ _unit(record.u_v).T) for record in records]
     moved = np.sqrt(sum(record.y_um.var(axis=1) * record.samples for record in records))
-    strongest = []
-    for k in sorted({k for inputs in driven for k in inputs}):
+    (whole, _), found, asked = _response(records, 1.0), [], {k for inputs in driven for k in inputs}
+    for k in sorted(asked):
         o = int(np.argmax(np.abs(response[:, k]) / np.maximum(moved, np.finfo(float).tiny)))
-        correlation = max(float(a[o, k]) for a, inputs in zip(alike, driven, strict=True) if k in inputs)
-        strongest.append((o, k, correlation))
-    whole, _ = _response(records, 1.0)
-    found = tuple(
-        (o, k)
-        for o, k, correlation in strongest
-        if whole[o, k].imag > 0.0
-        if FARTHEST_LEAD_RAD < lag[o, k] < LEAD_RAD and response[o, k].real > 0 and correlation > ALIKE
-    )
-    return found if apart or len(found) == len(strongest) else ()
+        correlation = max(a[o, k] for a, inputs in zip(alike, driven, strict=True) if k in inputs)
+        ahead = FARTHEST_LEAD_RAD < lag[o, k] < LEAD_RAD and whole[o, k].imag > 0.0
+        if ahead and response[o, k].real > 0 and correlation > ALIKE:
+            found.append((o, k))
+    return tuple(found) if apart or len(found) == len(asked) else ()
 
 
 def refuse_swapped(records: Sequence[Record]) -> None:

@@ -10,7 +10,7 @@ How a column is named
 
 from __future__ import annotations
 
-import difflib
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,13 +20,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array, Indices
-from hammerstein.errors import InputError, Mistake, refuse
+from hammerstein.errors import InputError, Mistake, naming, refuse
 from hammerstein.quantities import unique
-from hammerstein.records.array_files import SUFFIXES, array_columns, refuse_large, variables_of, whole_array
-from hammerstein.records.checks import gap_mistakes
+from hammerstein.records.checks import gap_mistakes, refuse_large
+from hammerstein.records.file_formats import SUFFIXES, Variable, Variables, reason_of, variables_of
 from hammerstein.signals.signal_files import OF_TIME
 from hammerstein.signals.text_tables import FORMATS, find_layout, read_text, where
 from hammerstein.signals.units import Kind, Unit, bracketed, unit_in, without_unit
+from hammerstein.validation import nearest, suggestion
 
 TIME_NAMES = (*OF_TIME, "x-axis")
 """Names of a time column, without their unit and in any case."""
@@ -177,7 +178,9 @@ def read_array(path: str | Path, variable: str | None = None) -> Array:
     path = refuse_missing(Path(path))
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(str(path), f"is not a file of arrays; give one of {', '.join(SUFFIXES)}")
-    return whole_array(path, variable or "")
+    variables = variables_of(path)
+    with naming(str(path)):
+        return _loaded(variables, variable or "")
 
 
 def refuse_missing(path: Path) -> Path:
@@ -244,10 +247,9 @@ def _choose(path: Path, wanted: Sequence[str], names: Sequence[str], width: int)
 def _known(column: str, names: Sequence[str], width: int) -> str:
     if not any(names):
         return f"it has no header: name columns by number, 1 to {width}"
-    near = difflib.get_close_matches(column, names, n=1)
-    suggestion = f"did you mean {near[0]}? " if near else ""
+    meant = "".join(f"did you mean {near}? " for near in nearest(column, names))
     listed = ", ".join(f"{k + 1} {name}" for k, name in enumerate(names[:20]) if name)
-    return f"{suggestion}it has {listed}{', ...' if len(names) > 20 else ''}"
+    return f"{meant}it has {listed}{', ...' if len(names) > 20 else ''}"
 
 
 @contextmanager
@@ -285,3 +287,124 @@ def _parquet_columns(path: Path, wanted: Sequence[str]) -> Columns:
             what = f"has {table[name].type}, not numbers; choose another column"
             text.append(Mistake(where(name, rows, 0, table.num_rows - 1), what))
     return _columns(path, chosen, values, rows, chosen, text)
+
+
+def array_columns(path: Path, wanted: Sequence[str]) -> tuple[Array, list[str]]:
+    """Columns (column, sample) of a file of arrays with a suffix of ``SUFFIXES``, and their stated units.
+
+    Parameters
+    ----------
+    path : file
+    wanted : ``NAME``, ``NAME:3``, ``3`` or, in an array of more axes, ``NAME:2:1:5``: one number from 1 for
+        every axis but that of time, which is the longest
+
+    Raises
+    ------
+    InputError : unreadable file, unknown variables and columns (all at once), columns of different length
+    """
+    variables = variables_of(path)
+    columns: list[Array] = []
+    units: list[str] = []
+    mistakes: list[Mistake] = []
+    for column in wanted:
+        name, numbers = _parsed(column)
+        try:
+            columns.append(_column(_loaded(variables, name), column, numbers))
+            units.append(variables[_resolved(variables, name)].unit)
+        except InputError as error:
+            mistakes += [Mistake(f"column {column}", mistake.what) for mistake in error.mistakes]
+    if not mistakes and len({len(column) for column in columns}) > 1:
+        listed = ", ".join(f"{name} {len(column)}" for name, column in zip(wanted, columns, strict=True))
+        mistakes.append(Mistake("columns", f"have different numbers of samples: {listed}"))
+    refuse(str(path), mistakes)
+    return np.vstack(columns), units
+
+
+def arrays_in(path: Path) -> Iterator[tuple[str, str]]:
+    """Names of the arrays of a file, their lengths, and the names of their columns.
+
+    Raises InputError where the file cannot be read.
+    """
+    for name, variable in variables_of(path).items():
+        yield name or "array", _described(name, variable)
+
+
+def _described(name: str, variable: Variable) -> str:
+    """How long an array is and how its columns are named, or why nobody knows."""
+    try:
+        shape = np.shape(variable.load())
+    except InputError as error:
+        return error.mistakes[0].what
+    except Exception as error:  # on a damaged file NumPy, SciPy and h5py raise whatever they stumble over
+        return f"cannot be read ({reason_of(error)})"
+    if not shape:
+        return "a single number"
+    longest = int(np.argmax(shape))
+    column = _columns_of(name, [n for axis, n in enumerate(shape) if axis != longest])
+    unit = f" in {variable.unit}" if variable.unit else ""
+    columns = f"; its columns are {column}" if column else ""
+    return f"{shape[longest]} samples{unit}{columns}"
+
+
+def _columns_of(name: str, sizes: Sequence[int]) -> str:
+    """First and last column of an array with these axes beside the longest, as a person writes them."""
+    ends = [
+        ":".join([*([name] if name else []), *map(str, numbers)]) for numbers in ([1] * len(sizes), sizes)
+    ]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def _parsed(column: str) -> tuple[str, list[int]]:
+    """``data.u:2:1`` is the variable ``data.u`` and the numbers 2 and 1."""
+    parts = column.split(":")
+    numbers: list[int] = []
+    while parts and parts[-1].isdecimal():
+        numbers.insert(0, int(parts.pop()))
+    return ":".join(parts), numbers
+
+
+def _loaded(variables: Variables, name: str) -> Array:
+    name = _resolved(variables, name)
+    if name not in variables:
+        start = f"there is no variable {name}" if name else "there are several variables, name one"
+        known = f"it has {', '.join(variables)}" if any(variables) else "its one array has no name"
+        raise InputError("file", f"{start}{suggestion(name, variables) or ';'} {known}")
+    try:
+        array = np.asarray(variables[name].load())
+        refuse_large(array.shape)
+    except InputError as error:
+        raise InputError("file", f"{name or 'the array'} {error.mistakes[0].what}") from None
+    except Exception as error:  # as above
+        raise InputError("file", f"{name or 'the array'} cannot be read ({reason_of(error)})") from None
+    if array.dtype.kind not in "biuf":
+        kind = "complex numbers" if array.dtype.kind == "c" else "no numbers"
+        raise InputError("file", f"{name or 'the array'} holds {kind}; save an array of real numbers")
+    return array.astype(np.float64)
+
+
+def _resolved(variables: Variables, name: str) -> str:
+    """Path of a variable: as in MATLAB (``Y(3).Data``), or the end of one path alone."""
+    if not name and len(variables) == 1:
+        return next(iter(variables))
+    dotted = re.sub(r"[({](\d+)[)}]", r".\1", name.strip("/").replace("/", "."))
+    for path in (dotted, dotted.replace(".1", "")):
+        ends = [known for known in variables if known == path or known.endswith(f".{path}")]
+        if path in variables or len(ends) == 1:
+            return path if path in variables else ends[0]
+    return name
+
+
+def _column(array: Array, column: str, numbers: Sequence[int]) -> Array:
+    """One line of an array along its longest axis."""
+    if array.ndim == 0:
+        raise InputError("file", "is a single number, not a signal")
+    array = np.moveaxis(array, int(np.argmax(array.shape)), -1)
+    sizes = array.shape[:-1]
+    if not numbers and all(size == 1 for size in sizes):
+        return array.reshape(-1)
+    if not sizes and list(numbers) == [1]:
+        return array
+    if len(numbers) != len(sizes) or not all(1 <= n <= s for n, s in zip(numbers, sizes, strict=True)):
+        wanted = _columns_of(_parsed(column)[0], sizes) or "the name alone"
+        raise InputError("file", f"does not fit an array of {array.shape[-1]} samples; write {wanted}")
+    return np.asarray(array[tuple(n - 1 for n in numbers)])

@@ -1,7 +1,5 @@
 """Scenarios: one validated value for each scenario file."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -4,8 +4,6 @@ A signal has no unit of its own: the scenario uses it as a drive in V or as a re
 Every signal gives values (axis, sample) for an array of times.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from abc import ABC, abstractmethod

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from hammerstein.commands.cli import app, main
 from hammerstein.model import HammersteinModel
-from hammerstein.records.array_files import array_columns
+from hammerstein.records.readers import array_columns
 from hammerstein.regression.compare import Baseline
 from hammerstein.runtime.manifest import Manifest
 

@@ -15,8 +15,8 @@ from hammerstein.blocks.instruments import intervals
 from hammerstein.commands.cli import main
 from hammerstein.errors import InputError
 from hammerstein.records import checks
-from hammerstein.records.array_files import array_columns, arrays_in
 from hammerstein.records.file_formats import COMPRESSED
+from hammerstein.records.readers import array_columns, arrays_in
 
 
 def element(kind, data):

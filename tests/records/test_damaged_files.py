@@ -8,8 +8,8 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from hammerstein.errors import InputError
-from hammerstein.records.array_files import array_columns
-from hammerstein.records.file_formats import read_matlab_v5
+from hammerstein.records.file_formats import UNREAD, read_matlab_v5
+from hammerstein.records.readers import array_columns
 
 CONTENT = {
     "u": np.random.default_rng(1).normal(size=(200, 2)),
@@ -25,6 +25,9 @@ CONTENT = {
 
 
 def _same(ours, theirs):
+    if theirs.dtype.kind == "U":  # a text, which is no signal
+        assert ours is UNREAD
+        return
     assert ours.shape == theirs.shape
     assert ours.dtype.names == theirs.dtype.names
     for name in theirs.dtype.names or ():
@@ -41,7 +44,7 @@ def _same(ours, theirs):
 def test_good_files_give_what_scipy_gives(tmp_path, packed):
     savemat(tmp_path / "a.mat", CONTENT, do_compression=packed)
     ours, theirs = read_matlab_v5(tmp_path / "a.mat", 10**9), loadmat(tmp_path / "a.mat")
-    assert set(ours) == {name for name in theirs if name[:2] != "__"}
+    assert set(ours) == {name for name in theirs if name[:2] != "__" and name != "text"}
     for name, value in ours.items():
         _same(value, theirs[name])
 
