@@ -207,7 +207,7 @@ def _run_what_changed(
             outcomes.append(Outcome(name, known[0], kept=known[1]))
     if not left:
         return outcomes
-    from hammerstein.runtime.processes import begin_loading
+    from hammerstein.runtime.parallel_tasks import begin_loading
 
     if jobs > 1 and len(left) > 1 and cluster is None:
         begin_loading()

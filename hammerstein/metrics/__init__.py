@@ -4,21 +4,18 @@ To add one, write a function of a ``Measured`` and register it with ``metric``: 
 tolerances and baseline follow.
 """
 
-from hammerstein.metrics.arrays import LoopFigures, euclidean, loop_figures, rms, worst
-from hammerstein.metrics.metric import KEY, METRICS, Keyed, Measured, Metric, Row, metric, metrics_of
-
-__all__ = [
-    "KEY",
-    "METRICS",
-    "Keyed",
-    "LoopFigures",
-    "Measured",
-    "Metric",
-    "Row",
-    "euclidean",
-    "loop_figures",
-    "metric",
-    "metrics_of",
-    "rms",
-    "worst",
-]
+from hammerstein.metrics.metric import (
+    KEY as KEY,
+    METRICS as METRICS,
+    Keyed as Keyed,
+    LoopFigures as LoopFigures,
+    Measured as Measured,
+    Metric as Metric,
+    Row as Row,
+    euclidean as euclidean,
+    loop_figures as loop_figures,
+    metric as metric,
+    metrics_of as metrics_of,
+    rms as rms,
+    worst as worst,
+)

@@ -31,7 +31,7 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 begin = time.process_time()
 import importlib
 from pathlib import Path
-from hammerstein.runtime.processes import LOADED_ONCE
+from hammerstein.runtime.parallel_tasks import LOADED_ONCE
 for name in LOADED_ONCE:
     importlib.import_module(name)
 spent = {"loading the libraries": time.process_time()}

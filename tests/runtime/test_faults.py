@@ -17,8 +17,14 @@ import pytest
 
 from hammerstein.errors import LostProcessError
 from hammerstein.runtime import parallel_tasks as workers
-from hammerstein.runtime.parallel_tasks import Processes, ProcessesAndThis, in_order, signal_name
-from hammerstein.runtime.processes import _imports_from_where_this_does, loaded_beforehand
+from hammerstein.runtime.parallel_tasks import (
+    Processes,
+    ProcessesAndThis,
+    _imports_from_where_this_does,
+    in_order,
+    loaded_beforehand,
+    signal_name,
+)
 
 pytestmark = [
     pytest.mark.full,
@@ -218,8 +224,7 @@ def test_a_signal_without_a_name_is_told_by_its_number():
 
 
 ELSEWHERE = """
-from hammerstein.runtime.processes import begin_loading
-from hammerstein.runtime.parallel_tasks import Processes
+from hammerstein.runtime.parallel_tasks import Processes, begin_loading
 
 if __name__ == "__main__":
     begin_loading()
