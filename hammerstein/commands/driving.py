@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from hammerstein.compensators.drive_file import Terms
     from hammerstein.compensators.learning import IlcUpdate
     from hammerstein.compensators.path_file import Onlooker
-    from hammerstein.runtime.manifest import Owner
+    from hammerstein.runtime.staging import Owner
 
 
 Asked = tuple[str, Path, str, dict[str, Any]]

@@ -20,7 +20,7 @@ from hammerstein.errors import InputError
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
-    from hammerstein.runtime.manifest import Owner
+    from hammerstein.runtime.staging import Owner
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, also edited ones.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]

@@ -15,7 +15,7 @@ from hammerstein.escaping import clean
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Response
 from hammerstein.quantities import interval
-from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import Owner
 from hammerstein.signals.signal_files import chosen, read_signal
 
 PLAYED = Owner("play", single=True)

@@ -271,8 +271,7 @@ def loops(
     from hammerstein.records.gains import refuse_swapped
     from hammerstein.records.loops import loop_table, move_at_once, ringing, turned_backwards, without_loops
     from hammerstein.reporting.figures.loops import LOOPS, LOOPS_FILES, loops_of_records
-    from hammerstein.runtime.manifest import refuse_name
-    from hammerstein.runtime.staging import prepare_folder
+    from hammerstein.runtime.staging import prepare_folder, refuse_name
 
     folder = out / folder_name(recorded.files)
     if figures:

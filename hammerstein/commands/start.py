@@ -33,8 +33,7 @@ def init(
 
     It has records, a model, a scenario, its numbers, and the next steps.
     """
-    from hammerstein.runtime.manifest import Owner
-    from hammerstein.runtime.staging import behind_link, staged
+    from hammerstein.runtime.staging import Owner, behind_link, staged
 
     brought = None if of is None else _brought_by(of)
     with staged(behind_link(folder), Owner("init", single=True, listed=False)) as stage:

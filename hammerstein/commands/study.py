@@ -83,7 +83,7 @@ def sweep(
 
 def _place_of(out: Path | None, overwrite: bool, dry_run: bool) -> Path | None:
     """Where the rows go: a place that can be written to; None where nothing is written."""
-    from hammerstein.runtime.manifest import SWEEP
+    from hammerstein.runtime.staging import SWEEP
 
     if dry_run:
         return None
@@ -110,7 +110,7 @@ def _written(out: Path, overwrite: bool) -> Iterator[_Csv | _Parquet]:
 
     Raises InputError where another sweep is writing it.
     """
-    from hammerstein.runtime.manifest import SWEEP
+    from hammerstein.runtime.staging import SWEEP
 
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

@@ -36,7 +36,7 @@ from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.files import write_atomic
 from hammerstein.model import HammersteinModel
 from hammerstein.records.turning_points import noise_rms
-from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import Owner
 
 DRIVE = Owner("drive", single=True)
 

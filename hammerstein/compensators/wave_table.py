@@ -22,7 +22,7 @@ from hammerstein.errors import InputError
 from hammerstein.escaping import clean
 from hammerstein.metrics import rms
 from hammerstein.quantities import column, interval
-from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import Owner
 
 WAVE_TABLE = Owner("wave table", single=True)
 

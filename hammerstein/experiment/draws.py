@@ -64,14 +64,20 @@ def figures_on(actuators: Actuators, kept: CaseCache, cases: Sequence[Case]) -> 
     runs = [_Run(actuators, kept.setup, case) for case in cases]
     starts = range(0, actuators.count, TOGETHER)
     pieces = [range(first, min(first + TOGETHER, actuators.count)) for first in starts]
-    found = [_known(kept, runs, piece) for piece in pieces]
-    left = [[i for i, figures in enumerate(known) if figures is None] for known in found]
-    open_ = [number for number, missing in enumerate(left) if missing]
+    found: dict[tuple[int, int], Figures] = {}  # by the numbers of piece and case
+    left: dict[int, list[int]] = {}
+    for number, i in np.ndindex(len(pieces), len(runs)):
+        entry = kept.read(runs[i].case, "draws", runs[i].which(pieces[number]))
+        if entry is None:
+            left.setdefault(number, []).append(i)
+        else:
+            found[number, i] = Figures(rows_from(entry.document), entry.arrays["values"])
+    open_ = list(left)
 
     def finished(done: int, figures: Sequence[Figures]) -> None:
         number = open_[done]
         for i, one in zip(left[number], figures, strict=True):
-            found[number][i] = one
+            found[number, i] = one
             entry = Kept([row.key() for row in one.rows], {"values": one.values})
             kept.write(entry, runs[i].case, "draws", runs[i].which(pieces[number]))
         if kept.progress:
@@ -80,11 +86,8 @@ def figures_on(actuators: Actuators, kept: CaseCache, cases: Sequence[Case]) -> 
     tasks = (partial(_over, [runs[i] for i in left[number]], pieces[number]) for number in open_)
     for _ in in_order(tasks, kept.jobs, finished):
         pass
-    each = [[one for one in known if one is not None] for known in found]
-    return [
-        Figures(same[0].rows, np.concatenate([part.values for part in same]))
-        for same in zip(*each, strict=True)
-    ]
+    each = ([found[number, i] for number in range(len(pieces))] for i in range(len(runs)))
+    return [Figures(same[0].rows, np.concatenate([part.values for part in same])) for same in each]
 
 
 class _Run:
@@ -119,15 +122,6 @@ def _over(runs: Sequence[_Run], numbers: range) -> list[Figures]:
     """Figures of some cases on some actuators, which are made once for all of them."""
     actuators = [runs[0].actuators.numbered(number) for number in numbers]
     return [run.over(actuators) for run in runs]
-
-
-def _known(kept: CaseCache, runs: Sequence[_Run], numbers: range) -> list[Figures | None]:
-    """Figures of every case on these actuators, as far as they were kept."""
-    entries = [kept.read(run.case, "draws", run.which(numbers)) for run in runs]
-    return [
-        None if entry is None else Figures(rows_from(entry.document), entry.arrays["values"])
-        for entry in entries
-    ]
 
 
 SEED_STEP = 7919  # keeps the noise of one draw apart from that of another scenario's seed

@@ -26,9 +26,9 @@ from hammerstein.experiment.set_up import Case, Progress, SetUp, plant_of, set_u
 from hammerstein.metrics import Row
 from hammerstein.model.simulation import Response
 from hammerstein.runtime.faults import as_error
-from hammerstein.runtime.manifest import refuse_name
 from hammerstein.runtime.parallel_tasks import Jobs, Processes
 from hammerstein.runtime.resources import one_blas_thread
+from hammerstein.runtime.staging import refuse_name
 from hammerstein.runtime.store import Store
 from hammerstein.scenario import Scenario, load_scenario, scenario_of
 from hammerstein.scenario.scenario import ScenarioSource

@@ -299,19 +299,12 @@ def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant
     Raises InputError or SimulationError where the law does not fit the model or the sample time.
     """
     here = replace(model, instruments=plant.instruments)
-    try:
-        return compensator.design(here, _range(model, plant), plant.sample_time_s)
+    limits_v = plant.instruments.drive.limits(plant.model.hysteresis.n_inputs).T
+    try:  # before the first sample, the actuator rests at its own working point
+        range_v = DriveRange.of(limits_v, model, start_v=plant.model.recorded.working_point_v)
+        return compensator.design(here, range_v, plant.sample_time_s)
     except (InputError, SimulationError) as error:
         raise labelled(f"compensator {compensator.label!r}", error) from None
-
-
-def _range(model: HammersteinModel, plant: Plant) -> DriveRange:
-    """Range of a law; before the first sample, the actuator rests at its own working point."""
-    return DriveRange.of(
-        np.transpose(plant.instruments.drive.limits(plant.model.hysteresis.n_inputs)),
-        model,
-        start_v=plant.model.recorded.working_point_v,
-    )
 
 
 def _models(

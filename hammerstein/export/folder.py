@@ -27,8 +27,7 @@ from hammerstein.export.trial import FLAGS, SAMPLES, WAVES, build, compiler, ent
 from hammerstein.files import read_limited
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import column
-from hammerstein.runtime.manifest import Owner
-from hammerstein.runtime.staging import staged
+from hammerstein.runtime.staging import Owner, staged
 from hammerstein.validation import Strict, mistakes_in
 
 DESCRIPTION, BUILD, UNIT = "modelDescription.xml", "buildDescription.xml", "fmu.c"

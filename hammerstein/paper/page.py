@@ -13,8 +13,7 @@ from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.paper.judgements import ClaimJudgement
 from hammerstein.quantities import by_key
 from hammerstein.reporting.run_page import place_of
-from hammerstein.runtime.manifest import Manifest, Owner
-from hammerstein.runtime.staging import Stage, staged
+from hammerstein.runtime.staging import Manifest, Owner, Stage, staged
 
 CLAIMS = Owner("claims")
 PAGE = Owner("page")

@@ -17,7 +17,7 @@ from hammerstein.errors import InputError, Mistake, SimulationError, refuse
 from hammerstein.experiment.report import Report
 from hammerstein.files import read_limited, refuse_no_file, write_atomic
 from hammerstein.metrics import METRICS
-from hammerstein.runtime.manifest import put_aside
+from hammerstein.runtime.staging import put_aside
 from hammerstein.scenario.assessment import DEFAULT as OTHERS, numbers_of_judgements
 from hammerstein.scenario.scenario import Tolerance
 from hammerstein.validation import Strict, mistakes_in, suggestion

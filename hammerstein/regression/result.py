@@ -28,8 +28,8 @@ from hammerstein.regression.compare import (
     new_columns,
     numbers_of,
 )
-from hammerstein.runtime.manifest import Owner
 from hammerstein.runtime.parallel_tasks import Jobs
+from hammerstein.runtime.staging import Owner
 from hammerstein.scenario import scenario_of
 from hammerstein.scenario.scenario import ScenarioSource, Tolerance
 

@@ -6,7 +6,7 @@ from hammerstein.escaping import Markdown
 from hammerstein.regression.compare import Kind
 from hammerstein.regression.result import TITLE, CheckResult, ScenarioCheck
 from hammerstein.reporting.page import Page, Shown
-from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import Owner
 
 CHECK_PAGE = Owner("check page", single=True)
 FIRST_SHOWN = ("rms_um", "gain", "height_um", "max_um", "value")

@@ -10,8 +10,7 @@ from hammerstein.escaping import Markdown, markdown, markdown_page
 from hammerstein.reporting.figures.identified import compared_figure
 from hammerstein.reporting.figures.write import files_of
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs
-from hammerstein.runtime.manifest import Owner
-from hammerstein.runtime.staging import staged
+from hammerstein.runtime.staging import Owner, staged
 
 COMPARISON = Owner("comparison")
 ALWAYS = ("compare.html", "compare.json", "compare.md")

@@ -23,8 +23,7 @@ from hammerstein.quantities import LEAST_SHARE, interval, percent
 from hammerstein.reporting.figures.identified import identified_figures
 from hammerstein.reporting.figures.write import files_of
 from hammerstein.reporting.page import NumberFile, Page, Shown, figures_section, paragraphs, points
-from hammerstein.runtime.manifest import Owner
-from hammerstein.runtime.staging import staged, staged_beside
+from hammerstein.runtime.staging import Owner, staged, staged_beside
 from hammerstein.signals.units import spoken
 
 FIT = Owner("fit")

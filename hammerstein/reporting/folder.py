@@ -22,9 +22,8 @@ from hammerstein.escaping import csv_text
 from hammerstein.experiment.report import Band, Report, Sensitivity, Trace
 from hammerstein.metrics import Row
 from hammerstein.reporting.figures.write import FIGURES, files_of
-from hammerstein.runtime.manifest import Manifest, Owner, digest_of, is_inside
 from hammerstein.runtime.parallel_tasks import Jobs
-from hammerstein.runtime.staging import prepare, staged
+from hammerstein.runtime.staging import Manifest, Owner, digest_of, is_inside, prepare, staged
 from hammerstein.runtime.store import Kept, Store, key_of
 from hammerstein.scenario import Scenario
 from hammerstein.scenario.scenario import WORDS

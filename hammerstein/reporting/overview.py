@@ -18,8 +18,7 @@ from hammerstein.metrics import Row
 from hammerstein.quantities import by_key
 from hammerstein.reporting.page import rendered
 from hammerstein.reporting.run_page import place_of
-from hammerstein.runtime.manifest import Manifest, Owner
-from hammerstein.runtime.staging import staged
+from hammerstein.runtime.staging import Manifest, Owner, staged
 from hammerstein.scenario.assessment import Assessment
 
 OVERVIEW = Owner("overview")

@@ -22,7 +22,7 @@ from hammerstein.commands.cli import app, main
 from hammerstein.model import HammersteinModel
 from hammerstein.records.readers import array_columns
 from hammerstein.regression.compare import Baseline
-from hammerstein.runtime.manifest import Manifest
+from hammerstein.runtime.staging import Manifest
 
 KEPT_MB = "100"
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]

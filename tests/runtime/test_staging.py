@@ -12,8 +12,7 @@ import pytest
 
 from hammerstein.errors import InputError
 from hammerstein.runtime import staging
-from hammerstein.runtime.manifest import MANIFEST, Owner
-from hammerstein.runtime.staging import ROOM, prepare, staged
+from hammerstein.runtime.staging import MANIFEST, ROOM, Owner, prepare, staged
 
 OWNER = Owner("report")
 STEPS = 12  # at least; the rest is how the system's own library removes a folder
@@ -147,7 +146,7 @@ def test_a_writer_that_hangs_is_told_and_one_that_died_is_not_waited_for(tmp_pat
     folder = tmp_path / "r"
     code = """
 import sys, time
-from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import Owner
 from hammerstein.runtime.staging import staged
 from pathlib import Path
 with staged(Path(sys.argv[1]), Owner("x")) as stage:

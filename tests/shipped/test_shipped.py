@@ -15,7 +15,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.model import HammersteinModel, packaged_actuators
 from hammerstein.records.reading import read_records
-from hammerstein.runtime.manifest import Manifest, digest_of
+from hammerstein.runtime.staging import Manifest, digest_of
 from shipped import paper_actuators, stacks, starter
 
 MADE = ("path.csv", "period.csv", "record_x.csv", "record_y.csv")

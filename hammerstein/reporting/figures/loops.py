@@ -30,7 +30,7 @@ from hammerstein.reporting.figures.style import (
     thin_path,
     thin_trace,
 )
-from hammerstein.runtime.manifest import Owner
+from hammerstein.runtime.staging import Owner
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from hammerstein.reporting.figures.style import COLOURS, DARK, PALE, PNG_COLOURS, PNG_DPI, styled
-from hammerstein.runtime.manifest import Owner
-from hammerstein.runtime.staging import staged
+from hammerstein.runtime.staging import Owner, staged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
