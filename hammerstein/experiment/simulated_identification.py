@@ -25,7 +25,7 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.static.closed_form import closed_form
-from hammerstein.metrics.metric import settled_cycle
+from hammerstein.metrics import settled_cycle
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant, Response
 from hammerstein.records.record import Record

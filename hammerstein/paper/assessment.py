@@ -11,8 +11,7 @@ from pydantic import Field
 
 from hammerstein.arrays import Array
 from hammerstein.errors import HammersteinError
-from hammerstein.metrics import Measured, Row, metric, worst
-from hammerstein.metrics.metric import Values
+from hammerstein.metrics import Measured, Row, Values, metric, worst
 from hammerstein.model import HammersteinModel
 from hammerstein.paper.claims import Claim
 from hammerstein.paper.judgements import CLAIMED, Change, ClaimJudgement, Simulated, judgements

@@ -5,7 +5,7 @@ import pytest
 
 import hammerstein
 from hammerstein import metrics
-from hammerstein.metrics.metric import PathErrors
+from hammerstein.metrics import PathErrors
 from hammerstein.paper.assessment import epsilon
 from hammerstein.reporting.run_page import run_page
 

@@ -35,7 +35,7 @@ NUMERICAL = (
     "hammerstein/scenario/variation.py",
     "hammerstein/blocks/driving.py",
     "hammerstein/blocks/instruments.py",
-    "hammerstein/signals/shapes.py",
+    "hammerstein/signals/__init__.py",
     "hammerstein/model/simulation.py",
     "hammerstein/blocks/driving.py",
 )

@@ -19,8 +19,7 @@ from hammerstein.experiment.report import (
     operators_of,
     told_apart,
 )
-from hammerstein.metrics import Row
-from hammerstein.metrics.metric import settled_cycle
+from hammerstein.metrics import Row, settled_cycle
 from hammerstein.quantities import by_key
 from hammerstein.reporting.figures.loops import ErrorRun, LoopRun, errors_figure, loops_figure
 from hammerstein.reporting.figures.path import PathRun, path_errors_figure, path_figure
