@@ -299,8 +299,8 @@ def law_of(compensator: TestedCompensator, model: HammersteinModel, plant: Plant
     Raises InputError or SimulationError where the law does not fit the model or the sample time.
     """
     here = replace(model, instruments=plant.instruments)
-    limits_v = plant.instruments.drive.limits(plant.model.hysteresis.n_inputs).T
     try:  # before the first sample, the actuator rests at its own working point
+        limits_v = plant.instruments.drive.limits(plant.model.hysteresis.n_inputs).T
         range_v = DriveRange.of(limits_v, model, start_v=plant.model.recorded.working_point_v)
         return compensator.design(here, range_v, plant.sample_time_s)
     except (InputError, SimulationError) as error:
