@@ -9,7 +9,6 @@ from hammerstein.compensators.base import (
     DecoupledInverse as DecoupledInverse,
     NoCompensation as NoCompensation,
 )
-from hammerstein.compensators.exact import other_kinds  # noqa: F401  # register inverses
 from hammerstein.compensators.exact.inverse import ExactInverse as ExactInverse
 from hammerstein.compensators.feedback.pid import Feedback as Feedback
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicative as InverseMultiplicative

@@ -36,14 +36,14 @@ LawLike = str | Compensator
 class Attempt:
     """Drive of a law for a path, and the predicted motion. The first ``lead`` samples are a lead-in.
 
-    drive_v : (m, N) as sent; predicted : of all samples
+    drive_v : (m, N) as sent; shortfall : predicted, of all samples
     """
 
     law: Law[Any]
     reference_um: Array
     lead: int
     drive_v: Array
-    predicted: Shortfall
+    shortfall: Shortfall
 
     @classmethod
     def of(
@@ -74,7 +74,7 @@ class Attempt:
             free = Attempt.of(model, wide, compensator, self.reference_um, self.lead)
         except HammersteinError:
             return self.path_error_um
-        change = self.predicted.error_um - free.predicted.error_um
+        change = self.shortfall.error_um - free.shortfall.error_um
         return np.asarray(np.abs(change[:, self.lead :]).max(axis=1))
 
     def within_error(
@@ -89,17 +89,17 @@ class Attempt:
     @property
     def complete(self) -> bool:
         """Whether the drive never reaches its range and follows the path."""
-        return self.predicted.complete and not self.law.softens(self.reference_um)
+        return self.shortfall.complete and not self.law.softens(self.reference_um)
 
     @property
     def path_error_um(self) -> Array:
         """Largest error of each output (p,) on the path, without its lead-in [um]."""
-        return np.asarray(np.abs(self.predicted.error_um[:, self.lead :]).max(axis=1))
+        return np.asarray(np.abs(self.shortfall.error_um[:, self.lead :]).max(axis=1))
 
     @property
     def path_rms_um(self) -> Array:
         """Rms error of each output (p,) there [um]."""
-        return np.sqrt(np.mean(self.predicted.error_um[:, self.lead :] ** 2, axis=1))
+        return np.sqrt(np.mean(self.shortfall.error_um[:, self.lead :] ** 2, axis=1))
 
 
 def drive_within(model: HammersteinModel, limits: DriveRange) -> Drive:
@@ -144,31 +144,32 @@ def compensator_of(law: LawLike, options: Mapping[str, Any]) -> Compensator:
         raise InputError("compensate", mistakes_of(error, COMPENSATORS.adapter())) from None
 
 
+def _figures_um(model: HammersteinModel, name: str) -> Array | None:
+    """Figures (p,) of the model's verdict [um]; None where it does not have one for each output."""
+    found = getattr(model.verdict, name, ())
+    return np.array(found) if len(found) == len(model.outputs) else None
+
+
 def stated_error_um(model: HammersteinModel) -> Array | None:
     """Rms error of the model on validation records, else fitted ones (p,) [um]; None without any.
 
     It includes their noise.
     """
-    verdict = model.verdict
-    if verdict is None or len(verdict.rms_um) != len(model.outputs):
-        return None
-    return np.array(verdict.rms_um)
+    return _figures_um(model, "rms_um")
 
 
 def model_error_um(model: HammersteinModel) -> Array | None:
     """Rms error of the model itself (p,) [um], without the noise of the records; None if untested."""
-    stated, verdict = stated_error_um(model), model.verdict
-    if stated is None or verdict is None:
-        return None
-    return np.sqrt(np.maximum(stated**2 - np.square(verdict.noise_um or 0.0), 0.0))
+    stated, noise = stated_error_um(model), _figures_um(model, "noise_um")
+    if stated is None or noise is None:
+        return stated
+    return np.sqrt(np.maximum(stated**2 - noise**2, 0.0))
 
 
 def _largest_um(model: HammersteinModel) -> Array | None:
     """Largest error of the model (p,) on these records [um], less the largest noise."""
-    verdict = model.verdict
-    if verdict is None or len(verdict.largest_um) != len(model.outputs):
-        return None
-    return np.array(verdict.largest_um) - LARGEST_OF_NOISE * np.array(verdict.noise_um)
+    largest, noise = _figures_um(model, "largest_um"), _figures_um(model, "noise_um")
+    return None if largest is None or noise is None else largest - LARGEST_OF_NOISE * noise
 
 
 def model_statement(model: HammersteinModel) -> str:
@@ -210,14 +211,13 @@ class Prediction:
         half, verdict = half_span_v(model), model.verdict
         volts = float(half.max()) if np.isfinite(half).all() else 1.0
         step_v = model.instruments.drive.resolution_v / np.sqrt(12.0)
-        rest_um = () if verdict is None else verdict.rest_um
         return cls(
             path=attempt.path_rms_um,
             most=attempt.path_error_um,
             model=model_error_um(model),
             largest=_largest_um(model),
             validated=verdict is not None and verdict.held_out,
-            rest=np.array(rest_um) if len(rest_um) == len(model.outputs) else None,
+            rest=_figures_um(model, "rest_um"),
             converter=np.asarray(step_v * np.abs(model.gain(volts)).sum(axis=1)),
             noise=float(model.instruments.sensor.noise_um),
         )
@@ -287,19 +287,12 @@ def _option(name: str, value: float) -> str:
     return f"--{name.replace('_', '-')} {value:g}"
 
 
-def kept_options(offset_um: Sequence[float] | None, compensator: Compensator) -> tuple[str, ...]:
-    """Offset, softening and filter of a command, in its words."""
-    smooths = {name: getattr(compensator, name, None) for name in ("softening_v", "filter_hz")}
-    moved = () if offset_um is None else (_offset(offset_um),)
-    return (*moved, *(_option(name, value) for name, value in smooths.items() if value))
-
-
 @dataclass(frozen=True, eq=False)
 class Missed(ABC):
     """A path that is out of reach, and the start of the search for remedies.
 
     own_um : (p,) error of the model itself; smaller deviations do not count
-    kept : options of the command, see ``kept_options``; a remedy keeps those that it does not replace
+    offset_um : that of the command
     """
 
     model: HammersteinModel
@@ -308,7 +301,7 @@ class Missed(ABC):
     path_um: Array
     own_um: Array
     reach: Reach
-    kept: tuple[str, ...]
+    offset_um: Sequence[float] | None
 
     LEADS_IN: ClassVar[str] = ""
     """Option that an offset path needs."""
@@ -317,6 +310,13 @@ class Missed(ABC):
     @abstractmethod
     def clipped_um(self) -> float:
         """Largest error with ``--clip`` [um]."""
+
+    @cached_property
+    def kept(self) -> tuple[str, ...]:
+        """Offset, softening and filter of the command, which a remedy keeps where it has no other."""
+        smooths = {name: getattr(self.compensator, name, None) for name in ("softening_v", "filter_hz")}
+        moved = (_offset(self.offset_um),) if self.offset_um else ()
+        return (*moved, *(_option(name, value) for name, value in smooths.items() if value))
 
     @property
     def given(self) -> str:
@@ -447,7 +447,7 @@ class MissedPath(Missed):
 
     def _limits_hit(self) -> str:
         """State the voltages needed without limits, and the error of the path with them."""
-        found, inputs = self.found.predicted, self.model.inputs
+        found, inputs = self.found.shortfall, self.model.inputs
         parts, free_v = [], None
         if self.prefix and not self.given:  # the voltages of a jump say nothing
             away = np.abs(self.path_um[:, 0]).max()
@@ -468,10 +468,7 @@ class MissedPath(Missed):
         return f"{'; '.join(parts)}."
 
     def _when(self, sample: int) -> str:
-        """Time of a sample, counted from the beginning of the path."""
-        if sample < self.found.lead:
-            return "in the lead-in"
-        return f"at {(sample - self.found.lead) * self.model.instruments.drive.sample_time_s:.4g} s"
+        return self.found.shortfall.when(sample, self.found.lead)
 
     def _needed(self, volts: Array, at_low: bool) -> str:
         """The most extreme of the voltages (N,) that an input would need."""

@@ -16,19 +16,11 @@ from hammerstein.compensators.attempt import (
     Missed,
     compensator_of,
     drive_within,
-    kept_options,
     model_statement,
     sensorless_law,
     stated_error_um,
 )
-from hammerstein.compensators.drive_file import (
-    Terms,
-    allowed_range,
-    moved,
-    refuse_beyond,
-    refuse_flagged,
-    verdict_statements,
-)
+from hammerstein.compensators.drive_file import Terms, verdict_statements
 from hammerstein.compensators.path_file import (
     CYCLE_COST,
     UNWATCHED,
@@ -207,8 +199,7 @@ class Design:
             reachable = reach(self.model, self.limits, run_anyway=True)
             least = np.zeros(len(missed)) if own is None else own
             given = (self.model, self.limits, self.compensator, self.reference_um, least, reachable)
-            kept = kept_options(terms.offset_um, self.compensator)
-            told = MissedPeriod(*given, kept, cycle, at_range).statement()
+            told = MissedPeriod(*given, terms.offset_um, cycle, at_range).statement()
             raise SimulationError(f"{self.path}: out of reach: {told}")
         return cycle
 
@@ -230,8 +221,7 @@ class Design:
         model, limits = self.model, self.limits
         converter, time_s = drive_within(model, limits), model.instruments.drive.sample_time_s
         sent, _ = converter.apply(asked_v)
-        if not terms.beyond_records:
-            refuse_beyond(model, sent)
+        terms.refuse_beyond(model, sent)
         player = Player(model, limits)
         position, closure = player.settled(sent)
         way, _ = converter.apply(run_up(sent, limits.start_v, time_s))
@@ -255,14 +245,14 @@ def design_of(
 ) -> Design:
     """Design a law for a file with one period of a path; raises the errors of ``cycle_of``."""
     model, source = terms.loaded(model_path), PurePath(model_path).name
-    refuse_flagged(model, source, terms)
-    limits = allowed_range(model, terms)
+    terms.refuse_flagged(model, source)
+    limits = terms.allowed_range(model)
     time_s = model.instruments.drive.sample_time_s
     _, path_um, found = read_path(
         path, model, time_s, cost=CYCLE_COST, onlooker=onlooker, units=terms.units, periodic=True
     )
     onlooker.tell("computing the period")
-    compensator, path_um = compensator_of(law, options), moved(path_um, terms.offset_um)
+    compensator, path_um = compensator_of(law, options), terms.moved(path_um)
     built = sensorless_law(compensator, model, limits, time_s)
     return Design(model, limits, compensator, built, path_um, source, str(path), found)
 

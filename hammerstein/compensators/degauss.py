@@ -6,7 +6,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.blocks.driving import DriveRange
-from hammerstein.compensators.drive_file import Terms, allowed_range
+from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.path_file import DRIVE_COST, PathWork, drive_csv
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
@@ -86,7 +86,7 @@ def degauss_drive(
     >>> bool((found.after_um < 0.05 * found.before_um).all()), found.drive_v[:, -1].tolist()
     (True, [0.0, 0.0])
     """
-    limits = allowed_range(model, terms or Terms())
+    limits = (terms or Terms()).allowed_range(model)
     if not np.isfinite(limits.span_v).all():
         raise InputError("--range", "has no ends for the alternation; give LOW,HIGH")
     step = model.instruments.drive.sample_time_s

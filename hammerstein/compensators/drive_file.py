@@ -19,7 +19,6 @@ from hammerstein.compensators.attempt import (
     MissedPath,
     Prediction,
     compensator_of,
-    kept_options,
     stated_error_um,
 )
 from hammerstein.compensators.path_file import (
@@ -30,7 +29,7 @@ from hammerstein.compensators.path_file import (
     predicted_groups,
     read_path,
 )
-from hammerstein.compensators.reach import Reach, Shortfall, reach
+from hammerstein.compensators.reach import Reach, Shortfall as Shortfall, reach
 from hammerstein.dynamics import WithLoop
 from hammerstein.errors import IdentificationError, InputError, SimulationError
 from hammerstein.files import write_atomic
@@ -81,11 +80,6 @@ class Compensation(Attempt):
     source: str
     held: bool = False
     approach: str = ""
-
-    @property
-    def shortfall(self) -> Shortfall:
-        """Predicted position and error, and samples with the voltage at its range."""
-        return self.predicted
 
     def __repr__(self) -> str:
         drive, error = self.drive_v, self.shortfall.error_um
@@ -286,6 +280,84 @@ class Terms:
         drive = model.instruments.drive.model_copy(update={"resolution_v": self.step_v})
         return replace(model, instruments=model.instruments.model_copy(update={"drive": drive}))
 
+    def refuse_flagged(self, model: HammersteinModel, path: str) -> None:
+        """Refuse a model whose fit report has flags, unless they are accepted.
+
+        Raises IdentificationError with the flags of the report.
+        """
+        verdict = model.verdict
+        if verdict is not None and verdict.flagged and not self.accept_flagged:
+            what = "; ".join(verdict.statements) or "see its fit report"
+            raise IdentificationError(
+                f"{path}: its own fit report flags this model: {what}. Run hammerstein compare on its "
+                "records, which tries other kinds; --accept-flagged uses the model anyway."
+            )
+
+    def allowed_range(self, model: HammersteinModel) -> DriveRange:
+        """Range of the drive: that of the records, or the requested one.
+
+        Raises InputError for a range or a start that does not fit the model.
+        """
+        m = len(model.inputs)
+        low, high = np.array([model.recorded.lowest_v, model.recorded.highest_v])
+        if self.range_v is not None:
+            low, high = _asked_range(model, self.range_v, m)
+        own = model.instruments.drive.limits(m)
+        wide = (low < own[0]) | (high > own[1])
+        if self.range_v is not None and wide.any():
+            k = int(np.argmax(wide))
+            raise InputError(
+                "--range",
+                f"{low[k]:g} to {high[k]:g} V exceeds the range of {model.inputs[k]} in the model file "
+                f"(instruments.drive.range_v), {own[0, k]:g} to {own[1, k]:g} V",
+            )
+        if self.start_v is not None and len(self.start_v) not in (1, m):
+            raise InputError("--start", f"names {len(self.start_v)} voltages; the model has {m} inputs")
+        start = None if self.start_v is None else np.broadcast_to(np.array(self.start_v), m)
+        ends = np.stack([np.maximum(low, own[0]), np.minimum(high, own[1])], axis=1)
+        begun = model.recorded.conditioned if self.conditioned is None else self.conditioned
+        return DriveRange.of(ends, model, start, begun)
+
+    def moved(self, path_um: Array) -> Array:
+        """Path (p, N) with the offset added to each output [um]; InputError for another number of them."""
+        offset_um = self.offset_um
+        if offset_um is None:
+            return path_um
+        if len(offset_um) not in (1, len(path_um)) or not np.isfinite(offset_um).all():
+            raise InputError(
+                "--offset", f"names {len(offset_um)} offsets; the model has {len(path_um)} outputs"
+            )
+        return np.asarray(path_um + np.broadcast_to(np.array(offset_um), len(path_um))[:, None])
+
+    def refuse_beyond(self, model: HammersteinModel, drive_v: Array) -> None:
+        """Refuse voltages that the records did not cover, unless they are accepted.
+
+        Raises SimulationError with the range of the records.
+        """
+        beyond = "" if self.beyond_records else beyond_records(model, drive_v)
+        if beyond:
+            raise SimulationError(f"{beyond} Record this range too, or accept it with --beyond-records.")
+
+
+def _asked_range(model: HammersteinModel, given: tuple[float, ...], m: int) -> Array:
+    """Lowest and highest voltage (2, m) from the numbers of an option."""
+    one_sided = model.recorded.one_sided()
+    if len(given) == 1 and one_sided:
+        k = one_sided[0]
+        low, high = model.recorded.lowest_v[k], model.recorded.highest_v[k]
+        raise InputError(
+            "--range",
+            f"{given[0]:g} means {-given[0]:g} to {given[0]:g} V, but {model.inputs[k]} was recorded "
+            f"on one side only, from {low:.6g} to {high:.6g} V; give LOW,HIGH",
+        )
+    if len(given) not in (1, 2, 2 * m):
+        raise InputError("--range", f"has {len(given)} numbers; give LOW,HIGH, or one pair for each input")
+    pairs = np.reshape(given if len(given) > 1 else (-given[0], given[0]), (-1, 2))
+    ends = np.broadcast_to(pairs, (m, 2)).T
+    if not (np.isfinite(ends).all() and (ends[0] < ends[1]).all()):
+        raise InputError("--range", "must be finite voltages, each LOW below its HIGH, or a single N above 0")
+    return np.asarray(ends, dtype=np.float64)
+
 
 def compensate(
     model_path: str,
@@ -341,10 +413,10 @@ def compensation_of(
     source : name of the model in messages. The other parameters are those of ``compensate``.
     """
     terms, called = terms or Terms(), source or model.name
-    refuse_flagged(model, called, terms)
-    limits = allowed_range(model, terms)
+    terms.refuse_flagged(model, called)
+    limits = terms.allowed_range(model)
     time_step = model.instruments.drive.sample_time_s
-    path, approach = moved(checked_reference(reference_um, len(model.outputs)), terms.offset_um), ""
+    path, approach = terms.moved(checked_reference(reference_um, len(model.outputs))), ""
     if terms.approach_um is not None:
         detours = approached(path, terms.approach_um, time_step)
         path, approach = detours.path_um, detours.statement(model.outputs)
@@ -358,93 +430,12 @@ def compensation_of(
     held = found.within_error(model, limits, compensator, own)
     reachable = reach(model, limits, run_anyway=True)
     if not (terms.clip or held or found.complete):
-        kept = kept_options(terms.offset_um, compensator)
-        missed = MissedPath(model, limits, compensator, path, own, reachable, kept, found)
+        missed = MissedPath(model, limits, compensator, path, own, reachable, terms.offset_um, found)
         raise SimulationError(f"out of reach: {missed.statement()}")
-    if not terms.beyond_records:
-        refuse_beyond(model, found.drive_v)
+    terms.refuse_beyond(model, found.drive_v)
     time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
-    attempt = (found.law, found.reference_um, found.lead, found.drive_v, found.predicted)
+    attempt = (found.law, found.reference_um, found.lead, found.drive_v, found.shortfall)
     return Compensation(*attempt, model, prediction, reachable, time_s, "", called, held, approach)
-
-
-def moved(path_um: Array, offset_um: tuple[float, ...] | None) -> Array:
-    """Path (p, N) with an offset added to each output [um]; InputError for another number of them."""
-    if offset_um is None:
-        return path_um
-    if len(offset_um) not in (1, len(path_um)) or not np.isfinite(offset_um).all():
-        raise InputError("--offset", f"names {len(offset_um)} offsets; the model has {len(path_um)} outputs")
-    return np.asarray(path_um + np.broadcast_to(np.array(offset_um), len(path_um))[:, None])
-
-
-def refuse_flagged(model: HammersteinModel, path: str, terms: Terms) -> None:
-    """Refuse a model whose fit report has flags, unless they are accepted.
-
-    Raises IdentificationError with the flags of the report.
-    """
-    verdict = model.verdict
-    if verdict is not None and verdict.flagged and not terms.accept_flagged:
-        what = "; ".join(verdict.statements) or "see its fit report"
-        raise IdentificationError(
-            f"{path}: its own fit report flags this model: {what}. Run hammerstein compare on its records, "
-            "which tries other kinds; --accept-flagged uses the model anyway."
-        )
-
-
-def allowed_range(model: HammersteinModel, terms: Terms) -> DriveRange:
-    """Range of the drive: that of the records, or the requested one.
-
-    Raises InputError for a range or a start that does not fit the model.
-    """
-    m = len(model.inputs)
-    low, high = np.array([model.recorded.lowest_v, model.recorded.highest_v])
-    if terms.range_v is not None:
-        low, high = _asked_range(model, terms.range_v, m)
-    own = model.instruments.drive.limits(m)
-    wide = (low < own[0]) | (high > own[1])
-    if terms.range_v is not None and wide.any():
-        k = int(np.argmax(wide))
-        raise InputError(
-            "--range",
-            f"{low[k]:g} to {high[k]:g} V exceeds the range of {model.inputs[k]} in the model file "
-            f"(instruments.drive.range_v), {own[0, k]:g} to {own[1, k]:g} V",
-        )
-    if terms.start_v is not None and len(terms.start_v) not in (1, m):
-        raise InputError("--start", f"names {len(terms.start_v)} voltages; the model has {m} inputs")
-    start = None if terms.start_v is None else np.broadcast_to(np.array(terms.start_v), m)
-    ends = np.stack([np.maximum(low, own[0]), np.minimum(high, own[1])], axis=1)
-    begun = model.recorded.conditioned if terms.conditioned is None else terms.conditioned
-    return DriveRange.of(ends, model, start, begun)
-
-
-def _asked_range(model: HammersteinModel, given: tuple[float, ...], m: int) -> Array:
-    """Lowest and highest voltage (2, m) from the numbers of an option."""
-    one_sided = model.recorded.one_sided()
-    if len(given) == 1 and one_sided:
-        k = one_sided[0]
-        low, high = model.recorded.lowest_v[k], model.recorded.highest_v[k]
-        raise InputError(
-            "--range",
-            f"{given[0]:g} means {-given[0]:g} to {given[0]:g} V, but {model.inputs[k]} was recorded "
-            f"on one side only, from {low:.6g} to {high:.6g} V; give LOW,HIGH",
-        )
-    if len(given) not in (1, 2, 2 * m):
-        raise InputError("--range", f"has {len(given)} numbers; give LOW,HIGH, or one pair for each input")
-    pairs = np.reshape(given if len(given) > 1 else (-given[0], given[0]), (-1, 2))
-    ends = np.broadcast_to(pairs, (m, 2)).T
-    if not (np.isfinite(ends).all() and (ends[0] < ends[1]).all()):
-        raise InputError("--range", "must be finite voltages, each LOW below its HIGH, or a single N above 0")
-    return np.asarray(ends, dtype=np.float64)
-
-
-def refuse_beyond(model: HammersteinModel, drive_v: Array) -> None:
-    """Refuse voltages that the records did not cover.
-
-    Raises SimulationError with the range of the records.
-    """
-    beyond = beyond_records(model, drive_v)
-    if beyond:
-        raise SimulationError(f"{beyond} Record this range too, or accept it with --beyond-records.")
 
 
 def beyond_records(model: HammersteinModel, drive_v: Array) -> str:

@@ -183,9 +183,6 @@ class Shortfall:
 
         lead : samples before the path, which do not belong to its time
         """
-        if self.complete:
-            worst = ", ".join(f"{n} {e:.3g}" for n, e in zip(outputs, self._worst(), strict=True))
-            return f"The drive stays within its range; predicted errors up to {worst} um."
         parts = []
         for k, (name, row) in enumerate(zip(inputs, self.at_range, strict=True)):
             if row.any():
@@ -193,17 +190,18 @@ class Shortfall:
                 end, volts = ("lower", self.limits.low_v) if self.at_low[k] else ("upper", self.limits.high_v)
                 parts.append(
                     f"input {name} is at its {end} limit, {volts[k]:.6g} V, in {int(row.sum())} of "
-                    f"{len(row)} samples, first {self._when(first, lead)}"
+                    f"{len(row)} samples, first {self.when(first, lead)}"
                 )
         for name, row, worst_um in zip(outputs, self.error_um, self._worst(), strict=True):
             if worst_um > MISSED_SHARE * max(self._worst()):
-                when = self._when(int(np.argmax(np.abs(row))), lead)
+                when = self.when(int(np.argmax(np.abs(row))), lead)
                 parts.append(f"output {name} has an error of up to {worst_um:.4g} um {when}")
         axis, sample = self.turn
-        when = self._when(sample, lead)
+        when = self.when(sample, lead)
         return f"{'; '.join(parts)}. The largest acceleration is {when} on {outputs[axis]}."
 
-    def _when(self, sample: int, lead: int) -> str:
+    def when(self, sample: int, lead: int) -> str:
+        """Time of a sample, counted from the beginning of the path."""
         return "in the lead-in" if sample < lead else f"at {(sample - lead) * self.sample_time_s:.4g} s"
 
     def _worst(self) -> list[float]:

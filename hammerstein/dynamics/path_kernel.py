@@ -12,26 +12,32 @@ def respond_linear(start, column, value, x, v, first, end, y):  # type: ignore[n
     start : (n+p+1,) first entry of each row; column, value : (entry,)
     x : (n,) state, updated in place; v : (m, N) inputs; y : (p, N) outputs, overwritten from first up to end
     """
-    n, m, p = x.shape[0], v.shape[0], y.shape[0]
+    n, m = x.shape[0], v.shape[0]
     now, later = np.empty(n + m), np.empty(n + m)
     for i in range(n):  # not in slices: numba takes seconds to compile their assignment
         now[i] = x[i]
     for t in range(first, end):
         for j in range(m):
             now[at(n + j)] = v[at(j), at(t)]
-        e = at(start[0])
-        for i in range(n + p):
-            total, stop = 0.0, at(start[at(i + 1)])
-            while e < stop:
-                total += value[e] * now[at(column[e])]
-                e += at(1)
-            if i < n:
-                later[at(i)] = total
-            else:
-                y[at(i - n), at(t)] = total
+        linear_step(start, column, value, now, later, n, t, y)
         now, later = later, now
     for i in range(n):
         x[i] = now[i]
+
+
+@helper(inline="always")
+def linear_step(start, column, value, now, later, n, t, y):  # type: ignore[no-untyped-def]
+    """One sample t: from n states and the inputs in ``now`` to the states in ``later``, and outputs y."""
+    e = at(start[0])
+    for i in range(n + y.shape[0]):
+        total, stop = 0.0, at(start[at(i + 1)])
+        while e < stop:
+            total += value[e] * now[at(column[e])]
+            e += at(1)
+        if i < n:
+            later[at(i)] = total
+        else:
+            y[at(i - n), at(t)] = total
 
 
 @compiled()

@@ -9,11 +9,13 @@ from hammerstein.arrays import Array, padded
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
 from hammerstein.compensators.exact import inverse_kernel as exact_kernel, piece_kernels as pieces
-from hammerstein.compensators.exact.inverse import ExactInverseLaw, StaticInverse, Tables
-from hammerstein.compensators.exact.other_kinds import (
+from hammerstein.compensators.exact.inverse import (
+    ExactInverseLaw,
     GeneralisedInverseLaw,
     PreisachInverseLaw,
     RateDependentInverseLaw,
+    StaticInverse,
+    Tables,
 )
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.kernels import STILL_V
@@ -125,10 +127,7 @@ def _(law: DecoupledInverseLaw) -> CPart:
     return c_block_of(law.inverse, start.plays) + own + _range(law.range) + _origin(law.origin_um)
 
 
-@c_law_of.register(ExactInverseLaw)
-@c_law_of.register(GeneralisedInverseLaw)
-@c_law_of.register(PreisachInverseLaw)
-@c_law_of.register(RateDependentInverseLaw)
+@c_law_of.register(StaticInverse)
 def _(law: StaticInverse[Any]) -> CPart:
     return c_inverse_of(law, law.rest()) + _range(law.range) + _origin(law.origin_um)
 

@@ -11,7 +11,7 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law
 from hammerstein.blocks.driving import DriveRange
 from hammerstein.compensators.attempt import compensator_of, sensorless_law
-from hammerstein.compensators.drive_file import Terms, allowed_range, refuse_flagged
+from hammerstein.compensators.drive_file import Terms
 from hammerstein.dynamics import on_grid
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
@@ -98,8 +98,8 @@ class Request(Strict):
         SimulationError : a law that cannot work
         IdentificationError : a model that its own fit report flags
         """
-        refuse_flagged(model, self.source, self.terms())
-        limits = allowed_range(model, self.terms())
+        self.terms().refuse_flagged(model, self.source)
+        limits = self.terms().allowed_range(model)
         if self.law == MODEL:
             if self.options:
                 raise InputError("--law model", f"takes no options; {', '.join(sorted(self.options))} is one")

@@ -12,7 +12,7 @@ from hammerstein.commands.cli import main
 from hammerstein.compensators.added_motion import lead_in
 from hammerstein.compensators.attempt import MissedPath, Prediction
 from hammerstein.compensators.cycle import cycle_of
-from hammerstein.compensators.drive_file import Terms, allowed_range, compensate
+from hammerstein.compensators.drive_file import Terms, compensate
 from hammerstein.compensators.reach import reach
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.errors import InputError
@@ -376,7 +376,7 @@ def test_the_remedy_that_is_named_first_is_the_one_that_helps(tmp_path, capsys, 
 @pytest.mark.parametrize("away_um", [[-60.0, 0.0], [25.0, -8.0]])
 def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_um):
     model = HammersteinModel.load("duo_bimorph_static")
-    limits, path = allowed_range(model, Terms((-5.0, 10.0))), np.array([[1.0, 7.0, 3.0], [-2.0, 0.0, 5.0]])
+    limits, path = Terms((-5.0, 10.0)).allowed_range(model), np.array([[1.0, 7.0, 3.0], [-2.0, 0.0, 5.0]])
     within = reach(model, list(zip(limits.low_v, limits.high_v, strict=True)))
     here, away = (
         MissedPath(
@@ -392,7 +392,7 @@ def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_u
 @pytest.mark.parametrize(("first_um", "led"), [(0.0, 0), (3.0, 0), (3.0, 40)])
 def test_a_lead_in_is_named_where_a_path_begins_elsewhere_and_nothing_leads_in(first_um, led):
     model = HammersteinModel.load("duo_bimorph_static")
-    limits, found = allowed_range(model, Terms()), SimpleNamespace(lead=led)
+    limits, found = Terms().allowed_range(model), SimpleNamespace(lead=led)
     path = np.array([[first_um], [0.0]]) + np.array([[1.0], [-0.3]]) * smooth_step(np.arange(800) / 700.0)
     missed = MissedPath(model, limits, None, path, np.zeros(2), None, (), found)
     assert missed.prefix == ("--lead-in" if first_um else "")

@@ -16,7 +16,7 @@ from hammerstein.blocks.instruments import Drive, Instruments
 from hammerstein.blocks.voltages import Verdict, Voltages
 from hammerstein.commands.cli import main
 from hammerstein.compensators.base import DecoupledInverseLaw, NoCompensationLaw
-from hammerstein.compensators.drive_file import Terms, allowed_range
+from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.exact.inverse import ExactInverseLaw
 from hammerstein.compensators.inverse_multiplicative import InverseMultiplicativeLaw
 from hammerstein.compensators.path_file import drive_csv
@@ -439,7 +439,7 @@ def test_the_input_whose_range_is_too_wide_is_named():
     drive = model.instruments.drive.model_copy(update={"range_v": ((0.0, 100.0), (-30.0, 130.0))})
     narrow = replace(model, instruments=model.instruments.model_copy(update={"drive": drive}))
     with pytest.raises(InputError, match=r"-20 to 150 V exceeds the range of v in .*, -30 to 130 V"):
-        allowed_range(narrow, Terms(range_v=(0.0, 100.0, -20.0, 150.0)))
+        Terms(range_v=(0.0, 100.0, -20.0, 150.0)).allowed_range(narrow)
 
 
 def test_a_model_far_from_home_says_so():

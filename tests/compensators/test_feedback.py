@@ -80,7 +80,7 @@ def test_one_step_is_the_loop_to_the_last_bit_and_its_state_can_be_saved(model, 
     ahead = feedforward.drive_for(path) if forward else np.zeros((2, 600))
     state = law.rest()
     for k in range(599):
-        asked, state = law.step(path[:, k], run.reading_um[:, k], state, ahead[:, k + 1])
+        asked, state = law.request(law.correct(path[:, k], run.reading_um[:, k], state), ahead[:, k + 1])
         assert (asked == run.requested_v[:, k + 1]).all()
         if k % 100 == 50:
             state = law.restore(json.loads(json.dumps(state.as_dict())))
@@ -268,7 +268,7 @@ def test_the_sensors_own_lag_is_no_error(model):
     reading = np.outer([2000.0, -1000.0], time - tau * (1.0 - np.exp(-time / tau)))
     state = law.rest()
     for k in range(len(time)):
-        asked, state = law.step(path[:, k], reading[:, k], state)
+        asked, state = law.request(law.correct(path[:, k], reading[:, k], state))
         assert np.abs(asked).max() < 1e-10
 
 

@@ -151,7 +151,6 @@ def test_a_path_within_reach_passes():
     path[0] = 20.0 * np.sin(2.0 * np.pi * 50.0 * T * np.arange(800)) ** 5
     found = shortfall(model, law, path, law.drive_for(path), T)
     assert found.complete
-    assert "stays within its range" in found.statement(*NAMES)
     assert np.abs(found.error_um).max() < 0.01  # the stated delay is no error
 
 

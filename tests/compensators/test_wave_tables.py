@@ -15,7 +15,7 @@ from hammerstein.blocks.voltages import Voltages
 from hammerstein.commands.cli import main
 from hammerstein.compensators import cycle
 from hammerstein.compensators.cycle import cycle_of, rms
-from hammerstein.compensators.drive_file import Terms, allowed_range
+from hammerstein.compensators.drive_file import Terms
 from hammerstein.compensators.wave_table import wave_table
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import InputError, SimulationError
@@ -119,7 +119,7 @@ def test_a_run_up_leads_to_the_settled_period(tmp_path, capsys):
 def test_what_does_not_settle_without_creep_is_not_blamed_on_creep(monkeypatch):
     model = HammersteinModel.load("duo_bimorph")
     law = cycle.sensorless_law(
-        cycle.compensator_of("hammerstein_inverse", {}), model, allowed_range(model, Terms()), T
+        cycle.compensator_of("hammerstein_inverse", {}), model, Terms().allowed_range(model), T
     )
     monkeypatch.setattr(cycle, "SETTLED", -1.0)
     with pytest.raises(SimulationError) as caught:

@@ -113,13 +113,12 @@ class FeedbackLoop(ByValue):
 
     def _controller(self, gains: Gains, frequency_hz: Array) -> Complex:
         """Response (frequency, p) of the controllers."""
-        change = (1.0 - self._shift(frequency_hz))[:, None] / self.plant.sample_time_s
+        change = self.change(frequency_hz)[:, None]
         return np.asarray(gains.proportional + gains.integral_per_s / change + gains.derivative_s * change)
 
-    @cached_property
-    def change(self) -> Complex:
+    def change(self, frequency_hz: Array) -> Complex:
         """Response of a difference of two samples over T."""
-        return np.asarray((1.0 - self._shift(self.frequency_hz)) / self.plant.sample_time_s)
+        return np.asarray((1.0 - self._shift(frequency_hz)) / self.plant.sample_time_s)
 
     def alone(self, o: int) -> Complex:
         """Response (slope, frequency) of one output to its own correction, at smallest and largest slope."""
@@ -261,10 +260,10 @@ def _one(loop: FeedbackLoop, o: int, derivative: bool) -> tuple[float, float, fl
     """Proportional, integral and derivative gain of one output with the others open."""
     response = loop.alone(o)
     peak_hz = float(loop.frequency_hz[int(np.argmax(np.abs(response).max(axis=0)))])
-    unit = 1.0 / (2.0 * np.pi * peak_hz)
+    unit, change = 1.0 / (2.0 * np.pi * peak_hz), loop.change(loop.frequency_hz)
     best, ratios = 0.0, (0.0, 0.0)
     for share, second in itertools.product(SHARES, SHARES if derivative else (0.0,)):
-        shape = 1.0 / loop.change + share * unit + second * unit * unit * loop.change
+        shape = 1.0 / change + share * unit + second * unit * unit * change
         gain = _largest_gain(response * shape)
         if gain > best:
             best, ratios = gain, (share * unit, second * unit * unit)

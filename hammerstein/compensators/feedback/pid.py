@@ -120,26 +120,10 @@ class FeedbackController(Controller[ControllerState]):
         """Actuator at rest, reference and readings at zero."""
         return ControllerState(np.zeros((self.n_outputs, 5)))
 
-    def step(
-        self,
-        reference_um: ArrayLike,
-        reading_um: ArrayLike,
-        state: ControllerState,
-        feedforward_v: ArrayLike | None = None,
-    ) -> tuple[Array, ControllerState]:
-        """Voltages (m,) for the next sample, from reference and reading (p,) of this sample.
-
-        feedforward_v : (m,) feedforward for the next sample; the start voltage if not given
-
-        Equal to ``closed_loop`` to the last bit. The requested voltages may exceed the range; the drive
-        limits them.
-        """
-        return self.request(self.correct(reference_um, reading_um, state), feedforward_v)
-
     def correct(
         self, reference_um: ArrayLike, reading_um: ArrayLike, state: ControllerState
     ) -> ControllerState:
-        """First half of a step: correction from reference and reading (p,) of a sample."""
+        """Take reference and reading (p,) of a sample: they make the next correction."""
         from hammerstein.compensators.feedback.pid_kernel import correct
 
         memory = state.memory.copy()
@@ -150,7 +134,10 @@ class FeedbackController(Controller[ControllerState]):
     def request(
         self, state: ControllerState, feedforward_v: ArrayLike | None = None
     ) -> tuple[Array, ControllerState]:
-        """Second half of a step: voltages (m,) of the correction plus a feedforward (m,)."""
+        """Voltages (m,) of the correction plus a feedforward (m,); the start voltage if none is given.
+
+        Equal to ``closed_loop`` to the last bit. They may exceed the range; the drive limits them.
+        """
         from hammerstein.compensators.feedback.pid_kernel import request
 
         memory, asked = state.memory.copy(), np.empty(self.n_inputs)

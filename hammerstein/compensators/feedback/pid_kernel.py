@@ -3,7 +3,8 @@
 import numpy as np
 
 from hammerstein.blocks.instrument_kernels import converted
-from hammerstein.compiled import compiled, helper
+from hammerstein.compiled import compiled
+from hammerstein.dynamics.path_kernel import linear_step
 from hammerstein.hysteresis.busy_kernels import BUSY, GROUP
 from hammerstein.hysteresis.play_kernels import load, plays_of, respond_block, stack_of
 
@@ -60,7 +61,7 @@ def run_closed_loop(signals, controller, instruments, actuator, first, stop, out
     settings, inverse_gain, gain, limits, memory = controller
     reference, feedforward, noise = signals
     effects, steps, rest = instruments
-    (r, guide, scale, n, lines, w), (count, end, x, d, window), (rows, state) = actuator
+    (r, guide, scale, n, lines, w), (count, end, x, d, window), ((start, column, value), state) = actuator
     requested, drive, hysteresis, position, reading = out
     m, p = drive.shape[0], reading.shape[0]
     tall = r.shape[1] + 2
@@ -70,8 +71,10 @@ def run_closed_loop(signals, controller, instruments, actuator, first, stop, out
         load(n[k], lines[k], count[k], end[k], x[k], d[k], ends[k], xs[k], ds[k], tips[k], outputs)
         plays_of(r[k], count[k], ends[k], xs[k], ds[k], positions[k])
     counted, v = np.empty((m, 1)), np.empty((p, 1))
-    asked, both, now, read = np.empty(m), np.empty(2 * p), np.empty(p), np.empty(p)
-    z, new = np.empty(state.shape[0] + p), np.empty(state.shape[0])
+    asked, both, now, read = np.empty(m), np.empty((2 * p, 1)), np.empty(p), np.empty(p)
+    order = state.shape[0]
+    z, new = np.empty(order + p), np.empty(order + p)
+    z[:order] = state
     for t in range(first, stop):
         request(feedforward[:, t], inverse_gain, gain, limits, memory, asked)
         v[:] = 0.0
@@ -84,36 +87,18 @@ def run_closed_loop(signals, controller, instruments, actuator, first, stop, out
                     counted[k], 0, 1, r[k], guide[k], scale[k], lines[k], w[k], count[k],
                     ends[k], xs[k], ds[k], tips[k], positions[k], window[k], kept, v, outputs,
                 )  # fmt: skip
-        _linear_step(rows, state, v[:, 0], z, new, both)
+        z[order:] = v[:, 0]
+        linear_step(start, column, value, z, new, order, 0, both)
+        z, new = new, z
         for o in range(p):
-            hysteresis[o, t], position[o, t] = v[o, 0], both[o]
-            noisy = both[p + o] + effects[3] * noise[o, t]
+            hysteresis[o, t], position[o, t] = v[o, 0], both[o, 0]
+            noisy = both[p + o, 0] + effects[3] * noise[o, t]
             read[o] = converted(noisy, -effects[1], effects[1], effects[2])
             reading[o, t], now[o] = read[o], reference[o, t]
         correct(now, read, settings, memory)
+    state[:] = z[:order]
     for k in range(m):
         if window[k, BUSY]:
             count[k] = stack_of(positions[k], lines[k], ends[k], xs[k], ds[k], tips[k], outputs)
         for s in range(count[k]):
             end[k, s], x[k, s], d[k, s] = ends[k, s + 1], xs[k, s + 1], ds[k, s + 1]
-
-
-@helper()
-def _linear_step(rows, x, v, z, new, both):  # type: ignore[no-untyped-def]
-    """One sample of a linear block, given by the non-zero entries of [[A, B], [C, D]]."""
-    start, column, value = rows
-    n = x.shape[0]
-    for i in range(n):
-        z[i] = x[i]
-    for i in range(v.shape[0]):
-        z[n + i] = v[i]
-    for i in range(n + both.shape[0]):
-        total = 0.0
-        for e in range(start[i], start[i + 1]):
-            total += value[e] * z[column[e]]
-        if i < n:
-            new[i] = total
-        else:
-            both[i - n] = total
-    for i in range(n):
-        x[i] = new[i]

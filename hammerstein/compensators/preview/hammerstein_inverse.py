@@ -13,9 +13,9 @@ from hammerstein.arrays import Array
 from hammerstein.blocks import Law, Memory, checked_reference
 from hammerstein.blocks.driving import RangeLike
 from hammerstein.compensators.base import Compensator
-from hammerstein.compensators.exact.inverse import ExactInverseLaw, ExactState, Recovery, exact_inverse_of
-from hammerstein.compensators.preview.linear_inverse import filtered_by, linear_inverse, low_pass_taps
-from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw
+from hammerstein.compensators.exact.inverse import ExactInverseLaw, ExactState, Recovery
+from hammerstein.compensators.preview.linear_inverse import filtered_by, linear_inverse
+from hammerstein.compensators.preview.loop_inverse import LoopInverseLaw, WholeInverse
 from hammerstein.dynamics import LinearBlock, WithLoop
 from hammerstein.errors import InputError
 from hammerstein.model import HammersteinModel
@@ -42,7 +42,7 @@ class PathState(Memory):
     exact: ExactState
 
 
-class HammersteinInverseLaw(Law[PathState]):
+class HammersteinInverseLaw(WholeInverse[PathState]):
     """U = Gamma^-1 (G^-1 (F Y_r)): reference filter, inverse of the linear block, exact static inverse.
 
     ``G^-1`` is exact on the sample grid, the hold included (``linear_inverse``), so that on every sample the
@@ -96,23 +96,10 @@ class HammersteinInverseLaw(Law[PathState]):
     True
     """
 
-    def __init__(
-        self,
-        model: HammersteinModel,
-        range_v: RangeLike,
-        sample_time_s: float,
-        preview_s: float | None = None,
-        filter_hz: float | None = None,
-        softening_v: float = 0.0,
-        run_anyway: bool = False,
-    ):
-        here = model.hysteresis.on_grid(sample_time_s)
-        self.exact = exact_inverse_of(here, model, range_v, softening_v, run_anyway)
-        self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
-        self.range, self.origin_um = self.exact.range, self.exact.origin_um
-        self.sample_time_s: float = sample_time_s
+    def _prepare(self, model: HammersteinModel, preview_s: float | None) -> None:
+        """See ``WholeInverse._prepare``."""
+        sample_time_s = self.sample_time_s
         self.linear = linear_inverse(model.dynamics, sample_time_s)
-        self.taps = low_pass_taps(filter_hz, sample_time_s)
         self.needed_samples = self.linear.preview_samples + len(self.taps) // 2
         self.preview_samples = self.needed_samples
         if preview_s is not None:

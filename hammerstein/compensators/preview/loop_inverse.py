@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from hammerstein.arrays import Array, times
 from hammerstein.blocks import Law, Memory, checked_reference
 from hammerstein.blocks.driving import RangeLike
+from hammerstein.blocks.law import S
 from hammerstein.compensators.exact.inverse import exact_inverse_of
 from hammerstein.compensators.preview.linear_inverse import (
     LinearInverse,
@@ -182,7 +184,33 @@ class LoopPathState(Memory):
     exact: Any
 
 
-class LoopInverseLaw(Law[LoopPathState]):
+class WholeInverse(Law[S]):
+    """Inverse of a whole model on a sample grid, the base of two laws: what both are made of."""
+
+    def __init__(
+        self,
+        model: HammersteinModel,
+        range_v: RangeLike,
+        sample_time_s: float,
+        preview_s: float | None = None,
+        filter_hz: float | None = None,
+        softening_v: float = 0.0,
+        run_anyway: bool = False,
+    ):
+        here = model.on_grid(sample_time_s)
+        self.exact = exact_inverse_of(here.hysteresis, model, range_v, softening_v, run_anyway)
+        self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
+        self.range, self.origin_um = self.exact.range, self.exact.origin_um
+        self.sample_time_s: float = sample_time_s
+        self.taps = low_pass_taps(filter_hz, sample_time_s)
+        self._prepare(here, preview_s)
+
+    @abstractmethod
+    def _prepare(self, model: HammersteinModel, preview_s: float | None) -> None:
+        """Invert the dynamics of the model on its grid, and set the preview."""
+
+
+class LoopInverseLaw(WholeInverse[LoopPathState]):
     """Inverse of a model with hysteresis in the loop of its dynamics, for a path known in advance.
 
         d_0 = 0,    v_i = the inverse of the loop with Gamma = K z + d_i,    d_(i+1) = Gamma(z_i) - K z_i
@@ -220,21 +248,9 @@ class LoopInverseLaw(Law[LoopPathState]):
 
     leaves: ClassVar[float] = ENOUGH
 
-    def __init__(
-        self,
-        model: HammersteinModel,
-        range_v: RangeLike,
-        sample_time_s: float,
-        preview_s: float | None = None,
-        filter_hz: float | None = None,
-        softening_v: float = 0.0,
-        run_anyway: bool = False,
-    ):
-        here = model.on_grid(sample_time_s)
-        self.exact = exact_inverse_of(here.hysteresis, model, range_v, softening_v, run_anyway)
-        self.n_inputs, self.n_outputs = self.exact.n_inputs, self.exact.n_outputs
-        self.range, self.origin_um = self.exact.range, self.exact.origin_um
-        self.sample_time_s: float = sample_time_s
+    def _prepare(self, model: HammersteinModel, preview_s: float | None) -> None:
+        """See ``WholeInverse._prepare``."""
+        sample_time_s = self.sample_time_s
         if self.range.history().shape[1] > 1:
             raise InputError(
                 "start", "hysteresis in the loop is only inverted from rest at the working point"
@@ -243,8 +259,7 @@ class LoopInverseLaw(Law[LoopPathState]):
         plain = on_grid(model.dynamics.model_copy(update={"input_delay_s": late_s}), sample_time_s)
         assert isinstance(plain, FeedbackBlock)
         self.block = plain
-        self.loops, self.loop, self.passes, self.left = self._tried(here)
-        self.taps = low_pass_taps(filter_hz, sample_time_s)
+        self.loops, self.loop, self.passes, self.left = self._tried(model)
         self._early = len(self.taps) // 2 + delay
         self.preview_samples = (1 + self.passes) * self.loop.inverse.reach_samples + self._early
         if preview_s is not None and preview_s < self.preview_samples * sample_time_s:
