@@ -98,7 +98,6 @@ def reach(model: HammersteinModel, range_v: RangeLike, *, run_anyway: bool = Fal
         law: Law[Any] = exact_inverse_of(counted, model, about, 0.0, run_anyway)
         bisections = BISECTIONS
     else:  # the law of the paper, with so many passes that it is as good as an inverse
-        about = replace(limits, start_v=middle, conditioned=False)
         law = InverseMultiplicativeLaw(model, about, SLOW_S, iterations=PASSES, run_anyway=run_anyway)
         bisections = ROUGH_BISECTIONS
     between = _centre(model, about)[:, None]

@@ -9,7 +9,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from functools import reduce
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,8 +38,6 @@ from hammerstein.validation import Strict
 
 if TYPE_CHECKING:
     import control
-
-B = TypeVar("B", LinearBlock, FeedbackBlock, LinearBlock | FeedbackBlock)
 
 StateMatrices = tuple[Array, Array, Array, Array]
 """A, B, C and D."""
@@ -358,7 +356,9 @@ def discretise(
     ------
     InputError : the dynamics are not linear, or as ``on_grid`` raises it
     """
-    return _gridded(linear(dynamics).block(), dynamics.input_delay_s, sample_time_s, sensor_bandwidth_hz)
+    block = on_grid(linear(dynamics), sample_time_s, sensor_bandwidth_hz)
+    assert isinstance(block, LinearBlock)
+    return block
 
 
 def linearised(dynamics: Dynamics, sample_time_s: float, ends: Array) -> LinearBlock:
@@ -390,11 +390,7 @@ def on_grid(
     InputError : a discrete block on another sample time, or one whose delay is no whole number of samples
     """
     block: LinearBlock | FeedbackBlock = dynamics.block()
-    return _gridded(block, dynamics.input_delay_s, sample_time_s, sensor_bandwidth_hz)
-
-
-def _gridded(block: B, delay_s: float, sample_time_s: float, sensor_bandwidth_hz: float | None) -> B:
-    samples, late_s = split_delay(delay_s, sample_time_s)
+    samples, late_s = split_delay(dynamics.input_delay_s, sample_time_s)
     if block.sample_time_s != CONTINUOUS:
         if not math.isclose(block.sample_time_s, sample_time_s, rel_tol=1e-9):
             raise InputError(
@@ -405,7 +401,7 @@ def _gridded(block: B, delay_s: float, sample_time_s: float, sensor_bandwidth_hz
         if late_s:
             raise InputError(
                 "dynamics",
-                f"the input delay of {interval(delay_s)} is not a whole number of samples of "
+                f"the input delay of {interval(dynamics.input_delay_s)} is not a whole number of samples of "
                 f"{interval(sample_time_s)}, the sample time of this block; round it",
             )
         if sensor_bandwidth_hz is not None:

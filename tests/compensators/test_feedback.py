@@ -179,7 +179,7 @@ def test_the_controller_is_pid_in_time(model, sample_time_s):
     expected = (kp * error + ki * integral + kd * derivative) @ law.inverse_gain_v_per_um.T
     state, found = law.rest(), []
     for wanted in error:
-        asked, state = law.step(wanted, np.zeros(2), state)
+        asked, state = law.request(law.correct(wanted, np.zeros(2), state))
         found.append(asked)
     assert np.abs(expected).max() < 10.0  # nothing is cut off
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)

@@ -306,14 +306,14 @@ class ExactInverseLaw(StaticInverse[ExactState]):
         self, v_um: Array, start: ExactState, away: Array, recovery: Recovery | None = None
     ) -> tuple[Array, ExactState, Array]:
         """See ``StaticInverse.solve``."""
-        from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
+        from hammerstein.compensators.exact.inverse_kernel import respond_exact
 
         p, v_um = self.n_outputs, np.ascontiguousarray(v_um)  # of one type: it is compiled once
-        left, (w, here) = away.copy(), loaded(*self._design, start.stack, start.hand)
+        left, (w, here) = away.copy(), at.loaded(*self._design, start.stack, start.hand)
         given = (v_um, self.n_inputs - p, *(recovery or Recovery.none(p)), left, w, here)
         drive = filled(respond_exact, *given, shape=(self.n_inputs, v_um.shape[1]))
         after = ExactState(np.empty(start.stack.shape), np.empty(start.hand.shape))
-        unloaded(w, here, after.stack, after.hand)
+        at.unloaded(w, here, after.stack, after.hand)
         return drive, after, left
 
 

@@ -24,20 +24,15 @@ index).
 import numpy as np
 
 from hammerstein.compensators.exact.piece_kernels import (
-    BELOW,
-    COUNT,
-    END,
-    RAMP,
-    WANTED,
-    D,
-    X,
     axes_of,
     first_piece,
     jacobian,
+    loaded,
     next_piece,
     output,
     previous_piece,
     push,
+    unloaded,
 )
 from hammerstein.compensators.kernels import from_rest, to_sent
 from hammerstein.compiled import at, compiled, helper
@@ -90,31 +85,6 @@ def step_exact(sample, frame, table, about, stack, hand):  # type: ignore[no-unt
     after, held = np.empty(stack.shape), np.empty(hand.shape)
     unloaded(w, here, after, held)
     return sent, after, held, sound
-
-
-@compiled(error_model="numpy")
-def loaded(table, about, stack, hand):  # type: ignore[no-untyped-def]
-    """Copies of the tables of a design with the memory in them."""
-    w, here = table.copy(), about.copy()
-    for k in range(axes_of(here)):
-        for s in range(stack.shape[1]):
-            w[k, s].end, w[k, s].x, w[k, s].d = int(stack[k, s, END]), stack[k, s, X], stack[k, s, D]
-            for o in range(axes_of(here)):
-                w[k, s].below[o] = stack[k, s, BELOW + o]
-        here[k].count = int(hand[k, COUNT])
-        here[k].wanted, here[k].ramp = hand[k, WANTED], hand[k, RAMP]
-    return w, here
-
-
-@compiled(error_model="numpy")
-def unloaded(w, here, stack, hand):  # type: ignore[no-untyped-def]
-    """Put the memory of the tables of a run into stack and hand."""
-    for k in range(axes_of(here)):
-        for s in range(stack.shape[1]):
-            stack[k, s, END], stack[k, s, X], stack[k, s, D] = w[k, s].end, w[k, s].x, w[k, s].d
-            for o in range(axes_of(here)):
-                stack[k, s, BELOW + o] = w[k, s].below[o]
-        hand[k, COUNT], hand[k, WANTED], hand[k, RAMP] = here[k].count, here[k].wanted, here[k].ramp
 
 
 @helper(error_model="numpy", forceinline=True)

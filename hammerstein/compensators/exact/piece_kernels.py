@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from hammerstein.compiled import helper
+from hammerstein.compiled import compiled, helper
 
 SINGULAR, POOR = 1e-14, 1e3
 """Pivot, in parts of the largest, of a singular matrix; and the condition number of a poor one."""
@@ -71,6 +71,31 @@ def of_rows(m: int) -> np.dtype[Any]:
 def axes_of(here):  # type: ignore[no-untyped-def]
     """Number of inputs, as the compiler knows it."""
     return len(here[0].gain)
+
+
+@compiled(error_model="numpy")
+def loaded(table, about, stack, hand):  # type: ignore[no-untyped-def]
+    """Copies of the tables of a design with the memory in them."""
+    w, here = table.copy(), about.copy()
+    for k in range(axes_of(here)):
+        for s in range(stack.shape[1]):
+            w[k, s].end, w[k, s].x, w[k, s].d = int(stack[k, s, END]), stack[k, s, X], stack[k, s, D]
+            for o in range(axes_of(here)):
+                w[k, s].below[o] = stack[k, s, BELOW + o]
+        here[k].count = int(hand[k, COUNT])
+        here[k].wanted, here[k].ramp = hand[k, WANTED], hand[k, RAMP]
+    return w, here
+
+
+@compiled(error_model="numpy")
+def unloaded(w, here, stack, hand):  # type: ignore[no-untyped-def]
+    """Put the memory of the tables of a run into stack and hand."""
+    for k in range(axes_of(here)):
+        for s in range(stack.shape[1]):
+            stack[k, s, END], stack[k, s, X], stack[k, s, D] = w[k, s].end, w[k, s].x, w[k, s].d
+            for o in range(axes_of(here)):
+                stack[k, s, BELOW + o] = w[k, s].below[o]
+        hand[k, COUNT], hand[k, WANTED], hand[k, RAMP] = here[k].count, here[k].wanted, here[k].ramp
 
 
 @helper(error_model="numpy", forceinline=True)

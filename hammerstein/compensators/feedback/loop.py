@@ -103,10 +103,6 @@ class FeedbackLoop(ByValue):
         """Response (frequency, p, p) from what the hysteresis should give to the reading."""
         return self._shift(frequency_hz)[:, None, None] * self.plant.response(frequency_hz)
 
-    @cached_property
-    def _on_grid(self) -> Complex:
-        return self._reading(self.frequency_hz)
-
     def _shift(self, frequency_hz: Array) -> Complex:
         """Delay of one sample, 1 / z."""
         return np.asarray(np.exp(-2j * np.pi * frequency_hz * self.plant.sample_time_s))
@@ -124,7 +120,7 @@ class FeedbackLoop(ByValue):
         """Response (slope, frequency) of one output to its own correction, at smallest and largest slope."""
         own = self.slopes[:, o, o]
         ends = self.slopes[[int(np.argmin(own)), int(np.argmax(own))], :, o]
-        return np.asarray(ends @ self._on_grid[:, o].T)
+        return np.asarray(ends @ self._reading(self.frequency_hz)[:, o].T)
 
     def crossover_hz(self, o: int, gains: Gains) -> float:
         """Highest frequency where the gain of a loop falls to 1; 0 if it never reaches 1.

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from hammerstein.compensators.exact.inverse_kernel import loaded, respond_exact, unloaded
+from hammerstein.compensators.exact.inverse_kernel import respond_exact
+from hammerstein.compensators.exact.piece_kernels import loaded, unloaded
 from hammerstein.compensators.kernels import to_sent
 from hammerstein.compiled import at, compiled
 
