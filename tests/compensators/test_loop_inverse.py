@@ -252,7 +252,7 @@ def test_a_square_wave_is_told_the_filter_with_which_it_is_within_reach():
     assert named
     assert clipped
     found = compensation_of(model, wanted, "hammerstein_inverse", {"filter_hz": float(named[1])}, terms)
-    left = np.abs(found.predicted.error_um).max()
+    left = np.abs(found.shortfall.error_um).max()
     assert left == pytest.approx(float(named[2]), rel=0.06)
     assert left < 0.6 * float(clipped[1])
 
