@@ -18,6 +18,7 @@ from hammerstein.commands.options import (
     Overwrite,
     refuse_output,
     told_by_options,
+    with_help,
     write_output,
 )
 from hammerstein.commands.terminal import show, tell, tell_json, tell_kept, tell_statements, watched
@@ -43,14 +44,10 @@ RangeWords = Annotated[
 class LawWords:
     """Options of laws."""
 
-    filter_hz: Annotated[float | None, typer.Option(help="Bandwidth of the reference filter.")] = None
-    preview_s: Annotated[float | None, typer.Option(metavar="S", help="How far ahead the path is known.")] = (
-        None
-    )
-    softening_v: Annotated[float | None, typer.Option(help="Voltage over which drive jumps are spread.")] = (
-        None
-    )
-    gain: Annotated[str | None, typer.Option(help="For inverse_multiplicative: auto or identity.")] = None
+    filter_hz: float | None = with_help("Bandwidth of the reference filter.")
+    preview_s: float | None = with_help("How far ahead the path is known.", metavar="S")
+    softening_v: float | None = with_help("Voltage over which drive jumps are spread.")
+    gain: str | None = with_help("For inverse_multiplicative: auto or identity.")
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Another option of the law, as in a scenario."),
@@ -107,14 +104,9 @@ class Sent:
     """Range of the drive, and initial state of the actuator."""
 
     range_v: RangeWords = None
-    start: Annotated[
-        str | None,
-        typer.Option(metavar="V[,V]", help="Voltage before the first sample; the path is zero there."),
-    ] = None
+    start: str | None = with_help("Voltage before the first sample; the path is zero there.", metavar="V[,V]")
     conditioned: Conditioned = None
-    accept_flagged: Annotated[
-        bool, typer.Option("--accept-flagged", help="Accept a model that its fit report flags.")
-    ] = False
+    accept_flagged: bool = with_help("Accept a model that its fit report flags.", default=False)
 
     @property
     def ends(self) -> tuple[float, ...] | None:
@@ -131,25 +123,15 @@ class Sent:
 class Reached:
     """Options for a path that is out of reach."""
 
-    lead_in: Annotated[
-        bool,
-        typer.Option("--lead-in", help="First move from the initial position to the start of the path."),
-    ] = False
-    offset: Annotated[str | None, typer.Option(metavar="UM[,UM]", help="Shift of the path in um.")] = None
-    approach_side: Annotated[
-        str | None,
-        typer.Option(
-            metavar="UM[,UM]",
-            help="Reach every hold from one side, against backlash: -5 from 5 um below, 5 from above.",
-        ),
-    ] = None
-    units: Annotated[
-        str | None, typer.Option(metavar="nm|um|mm|m", help="Unit of the path, if its columns name none.")
-    ] = None
-    clip: Annotated[bool, typer.Option("--clip", help="Accept a path that is partly out of reach.")] = False
-    beyond_records: Annotated[
-        bool, typer.Option("--beyond-records", help="Accept voltages beyond the records.")
-    ] = False
+    lead_in: bool = with_help("First move from the initial position to the start of the path.", default=False)
+    offset: str | None = with_help("Shift of the path in um.", metavar="UM[,UM]")
+    approach_side: str | None = with_help(
+        "Reach every hold from one side, against backlash: -5 from 5 um below, 5 from above.",
+        metavar="UM[,UM]",
+    )
+    units: str | None = with_help("Unit of the path, if its columns name none.", metavar="nm|um|mm|m")
+    clip: bool = with_help("Accept a path that is partly out of reach.", default=False)
+    beyond_records: bool = with_help("Accept voltages beyond the records.", default=False)
 
     def terms(self, sent: Sent) -> Terms:
         """Limits of a drive."""
@@ -196,15 +178,9 @@ def volts(option: str, words: str | None) -> tuple[float, ...] | None:
 class TableRequest:
     """Options of a wave table; without a device, the period becomes a drive file."""
 
-    table: Annotated[
-        str | None, typer.Option(metavar="pi|nv200|csv", help="Write this period as a wave table.")
-    ] = None
-    table_scale: Annotated[
-        str | None, typer.Option(metavar="FACTOR[,OFFSET]", help="From V to the unit of the table.")
-    ] = None
-    table_points: Annotated[
-        int | None, typer.Option(min=2, help="Largest number of points of the table.")
-    ] = None
+    table: str | None = with_help("Write this period as a wave table.", metavar="pi|nv200|csv")
+    table_scale: str | None = with_help("From V to the unit of the table.", metavar="FACTOR[,OFFSET]")
+    table_points: int | None = with_help("Largest number of points of the table.", min=2)
 
     def factors(self) -> tuple[float, float] | None:
         """Factor and offset from volts to the numbers of the table, if they are given.
@@ -250,26 +226,16 @@ class TableRequest:
 class Trials:
     """Files of the trial and the previous one, and uncertainty of the model."""
 
-    learn: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            metavar="DRIVE MEASURED", help="Drive and measurement of a trial; writes the next drive."
-        ),
-    ] = None
-    before: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            metavar="DRIVE MEASURED",
-            help="The previous trial: its drive is kept if the new trial is worse.",
-        ),
-    ] = None
-    uncertainty: Annotated[
-        str | None,
-        typer.Option(
-            metavar="W,R",
-            help="Relative standard deviations of weights and resonances for --learn; default: 0.05,0.01.",
-        ),
-    ] = None
+    learn: tuple[Path, Path] | None = with_help(
+        "Drive and measurement of a trial; writes the next drive.", metavar="DRIVE MEASURED"
+    )
+    before: tuple[Path, Path] | None = with_help(
+        "The previous trial: its drive is kept if the new trial is worse.", metavar="DRIVE MEASURED"
+    )
+    uncertainty: str | None = with_help(
+        "Relative standard deviations of weights and resonances for --learn; default: 0.05,0.01.",
+        metavar="W,R",
+    )
 
     def refuse_lone(self) -> None:
         """Raise InputError for options of a trial without a trial."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import is_dataclass
+from dataclasses import field, fields, is_dataclass
 from functools import wraps
 from inspect import Parameter
 from pathlib import Path
@@ -53,6 +53,11 @@ def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bo
     from hammerstein.runtime.staging import write_file
 
     tell_kept(write_file(out, content, owner, overwrite))
+
+
+def with_help(help_: str, default: Any = None, **settings: Any) -> Any:
+    """Field of a dataclass of options: an option with this help; settings : see ``typer.Option``."""
+    return field(default=default, metadata={"option": typer.Option(help=help_, **settings)})
 
 
 @contextmanager
@@ -161,5 +166,9 @@ def _options(taker: Callable[..., Any]) -> list[Parameter]:
         from hammerstein.identification import options
 
         hints = get_type_hints(taker, localns=vars(options), include_extras=True)
+    for one in fields(taker) if is_dataclass(taker) else ():
+        if info := one.metadata.get("option"):
+            info.param_decls = (_option_of(one.name),)  # without a --no- beside it
+            hints[one.name] = Annotated[hints[one.name], info]
     each = inspect.signature(taker).parameters.values()
     return [one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[one.name]) for one in each]

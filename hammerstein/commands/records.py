@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS
-from hammerstein.commands.options import AsJson, Overwrite, refuse_output, told_by_options, words_of
+from hammerstein.commands.options import (
+    AsJson,
+    Overwrite,
+    refuse_output,
+    told_by_options,
+    with_help,
+    words_of,
+)
 from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.errors import InputError
 from hammerstein.escaping import one_line
@@ -48,41 +55,27 @@ class RecordFiles:
         list[Path],
         typer.Argument(metavar="FILE", help="Records: CSV, .dat, .npy, .mat, HDF5, Parquet, .xlsx, TDMS."),
     ]
-    inputs: Annotated[
-        str | None,
-        typer.Option(
-            metavar="COL[,COL]", help="Voltage columns, by name or number; default: by their units."
-        ),
-    ] = None
-    outputs: Annotated[
-        str | None, typer.Option(metavar="COL[,COL]", help="Displacement columns; default: by their units.")
-    ] = None
-    axes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME[,NAME]",
-            help="Files are pairs of arrays, voltages then displacements, with these axes: sample, "
-            "channel, experiment, period. --inputs and --outputs then name variables.",
-        ),
-    ] = None
-    rate: Annotated[float | None, typer.Option(metavar="HZ", help="Sampling rate.")] = None
-    time: Annotated[
-        str | None,
-        typer.Option(metavar="COL", help="Time column in s, instead of --rate; default: by its unit."),
-    ] = None
-    input_scale: Annotated[
-        float | None, typer.Option(metavar="S", help="Factor from the numbers to V; default: from the unit.")
-    ] = None
-    output_scale: Annotated[
-        float | None, typer.Option(metavar="S", help="Factor from the numbers to um; default: from the unit.")
-    ] = None
-    units: Annotated[
-        str | None,
-        typer.Option(metavar="nm|um|mm|m", help="Unit of the displacements, if their names have none."),
-    ] = None
-    accept_gain: Annotated[bool, typer.Option("--accept-gain", help="Accept an unlikely gain in um/V.")] = (
-        False
+    inputs: str | None = with_help(
+        "Voltage columns, by name or number; default: by their units.", metavar="COL[,COL]"
     )
+    outputs: str | None = with_help("Displacement columns; default: by their units.", metavar="COL[,COL]")
+    axes: str | None = with_help(
+        "Files are pairs of arrays, voltages then displacements, with these axes: sample, "
+        "channel, experiment, period. --inputs and --outputs then name variables.",
+        metavar="NAME[,NAME]",
+    )
+    rate: float | None = with_help("Sampling rate.", metavar="HZ")
+    time: str | None = with_help("Time column in s, instead of --rate; default: by its unit.", metavar="COL")
+    input_scale: float | None = with_help(
+        "Factor from the numbers to V; default: from the unit.", metavar="S"
+    )
+    output_scale: float | None = with_help(
+        "Factor from the numbers to um; default: from the unit.", metavar="S"
+    )
+    units: str | None = with_help(
+        "Unit of the displacements, if their names have none.", metavar="nm|um|mm|m"
+    )
+    accept_gain: bool = with_help("Accept an unlikely gain in um/V.", default=False)
 
     def read(self, held: Sequence[Path] | None = None, all_driven: bool = True) -> tuple[Record, ...]:
         """Records to fit, or validation records."""
@@ -208,16 +201,10 @@ OF_THE_LOOP = ("--order", "--accept-order", "--sensor-bandwidth", "--sensor-dela
 class InLoop:
     """Hysteresis in the loop of the dynamics."""
 
-    hysteresis_in_loop: Annotated[
-        bool,
-        typer.Option(
-            "--hysteresis-in-loop",
-            help="Plays in the loop of a state space, for resonances that move with the amplitude.",
-        ),
-    ] = False
-    minutes: Annotated[
-        float, typer.Option(min=0.1, max=1440.0, help="Time limit of --hysteresis-in-loop.")
-    ] = 60.0
+    hysteresis_in_loop: bool = with_help(
+        "Plays in the loop of a state space, for resonances that move with the amplitude.", default=False
+    )
+    minutes: float = with_help("Time limit of --hysteresis-in-loop.", default=60.0, min=0.1, max=1440.0)
 
     def refuse_unused(self, words: Sequence[str]) -> None:
         """Refuse options of other models, which its search would ignore."""
