@@ -48,10 +48,7 @@ class LawWords:
     preview_s: float | None = with_help("How far ahead the path is known.", metavar="S")
     softening_v: float | None = with_help("Voltage over which drive jumps are spread.")
     gain: str | None = with_help("For inverse_multiplicative: auto or identity.")
-    option: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Another option of the law, as in a scenario."),
-    ] = None
+    option: list[str] | None = with_help("Another option of the law, as in a scenario.", metavar="KEY=VALUE")
 
     def options(self) -> dict[str, Any]:
         """Given options, by their names in a scenario.
@@ -268,23 +265,17 @@ def compensate(
     reference: Annotated[
         Path, typer.Argument(help="CSV: time_s and one column for each axis; um if no unit is named.")
     ],
-    law: Annotated[
-        str,
-        typer.Option(
-            help="hammerstein_inverse, exact_inverse, inverse_multiplicative, decoupled_inverse or none."
-        ),
-    ] = "hammerstein_inverse",
+    law: str = with_help(
+        "hammerstein_inverse, exact_inverse, inverse_multiplicative, decoupled_inverse or none.",
+        default="hammerstein_inverse",
+    ),
     words: LawWords,
     sent: Sent,
-    converter_step: Annotated[
-        float | None,
-        typer.Option(metavar="V", help="Step of the converter; default: that of the model file."),
-    ] = None,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("drive.csv"),
-    cycle: Annotated[
-        bool,
-        typer.Option("--cycle", help="The path is one period; write one settled period."),
-    ] = False,
+    converter_step: float | None = with_help(
+        "Step of the converter; default: that of the model file.", metavar="V"
+    ),
+    out: Path = with_help("File for the voltages.", default=Path("drive.csv"), metavar="FILE"),
+    cycle: bool = with_help("The path is one period; write one settled period.", default=False),
     wanted: TableRequest,
     trials: Trials,
     reached: Reached,
@@ -326,11 +317,9 @@ def compensate(
 
 def degauss(
     model: Annotated[str, typer.Argument(help="Model file, or packaged actuator.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the voltages.")] = Path("degauss.csv"),
-    frequency: Annotated[
-        float, typer.Option(min=1e-3, metavar="HZ", help="Frequency of the alternation.")
-    ] = 10.0,
-    cycles: Annotated[int, typer.Option(min=1, max=10_000, help="Periods until the amplitude is zero.")] = 40,
+    out: Path = with_help("File for the voltages.", default=Path("degauss.csv"), metavar="FILE"),
+    frequency: float = with_help("Frequency of the alternation.", default=10.0, min=1e-3, metavar="HZ"),
+    cycles: int = with_help("Periods until the amplitude is zero.", default=40, min=1, max=10_000),
     range_v: RangeWords = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -359,10 +348,8 @@ def play(
     drive: Annotated[
         Path, typer.Argument(help="CSV: time_s and one column for each input; V if no unit is named.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the positions.")] = Path("played.csv"),
-    sensor: Annotated[
-        bool, typer.Option("--sensor", help="Simulate the model's converter and sensor, with noise.")
-    ] = False,
+    out: Path = with_help("File for the positions.", default=Path("played.csv"), metavar="FILE"),
+    sensor: bool = with_help("Simulate the model's converter and sensor, with noise.", default=False),
     conditioned: Conditioned = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -391,26 +378,20 @@ FORMATS = ("c", "fmu")
 def export(
     *,
     model: Annotated[str | None, typer.Argument(help="Model file, or packaged actuator.")] = None,
-    law: Annotated[
-        str,
-        typer.Option(
-            help="A law of compensate, or model: the actuator itself; the default needs no path in advance."
-        ),
-    ] = "exact_inverse",
-    form: Annotated[str, typer.Option("--format", help="c: C99; fmu: the same C code as an FMU.")] = "c",
-    fmi: Annotated[int | None, typer.Option(metavar="2|3", help="Write an FMU of FMI 2 or 3.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the code.")] = None,
-    check: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Repeat an export and compare the files.")
-    ] = None,
-    sample_time: Annotated[
-        float | None, typer.Option(metavar="S", help="Sample time; default: that of the model's drive.")
-    ] = None,
+    law: str = with_help(
+        "A law of compensate, or model: the actuator itself; the default needs no path in advance.",
+        default="exact_inverse",
+    ),
+    form: str = with_help("c: C99; fmu: the same C code as an FMU.", "--format", default="c"),
+    fmi: int | None = with_help("Write an FMU of FMI 2 or 3.", metavar="2|3"),
+    out: Path | None = with_help("Folder for the code.", metavar="DIR"),
+    check: Path | None = with_help("Repeat an export and compare the files.", metavar="DIR"),
+    sample_time: float | None = with_help("Sample time; default: that of the model's drive.", metavar="S"),
     words: LawWords,
     sent: Sent,
-    float32: Annotated[bool, typer.Option("--float32", help="Compute in single precision.")] = False,
+    float32: bool = with_help("Compute in single precision.", default=False),
     overwrite: Overwrite = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: bool = with_help("Print one JSON object.", "--json", default=False),
 ) -> None:
     """Export a law or a model as C code or as an FMU.
 

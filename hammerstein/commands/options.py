@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import field, fields, is_dataclass
+from dataclasses import field, is_dataclass
 from functools import wraps
 from inspect import Parameter
 from pathlib import Path
@@ -55,9 +55,14 @@ def write_output(out: Path, content: str | BinaryIO, owner: Owner, overwrite: bo
     tell_kept(write_file(out, content, owner, overwrite))
 
 
-def with_help(help_: str, default: Any = None, **settings: Any) -> Any:
-    """Field of a dataclass of options: an option with this help; settings : see ``typer.Option``."""
-    return field(default=default, metadata={"option": typer.Option(help=help_, **settings)})
+def with_help(help_: str, name: str = "", default: Any = None, **settings: Any) -> Any:
+    """Parameter of a command, or field of a dataclass of options: an option with this help.
+
+    name : if not that of the parameter; settings : see ``typer.Option``
+    """
+    info = typer.Option(help=help_, **settings)
+    info.param_decls = (name,) if name else ()
+    return field(default=default, metadata={"option": info})
 
 
 @contextmanager
@@ -166,9 +171,14 @@ def _options(taker: Callable[..., Any]) -> list[Parameter]:
         from hammerstein.identification import options
 
         hints = get_type_hints(taker, localns=vars(options), include_extras=True)
-    for one in fields(taker) if is_dataclass(taker) else ():
-        if info := one.metadata.get("option"):
-            info.param_decls = (_option_of(one.name),)  # without a --no- beside it
-            hints[one.name] = Annotated[hints[one.name], info]
-    each = inspect.signature(taker).parameters.values()
-    return [one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[one.name]) for one in each]
+    each = inspect.signature(taker).parameters
+    told = getattr(taker, "__dataclass_fields__", None) or {one.name: one.default for one in each.values()}
+    found = []
+    for name, one in each.items():
+        hint, default = hints[name], one.default
+        if info := getattr(told[name], "metadata", {}).get("option"):
+            hint, default = Annotated[hint, info], told[name].default
+            if default is False and not info.param_decls:
+                info.param_decls = (_option_of(name),)  # without a --no- beside it
+        found.append(one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hint, default=default))
+    return found

@@ -175,9 +175,7 @@ def _columns(words: str | None) -> list[str] | None:
 class Validation:
     """Validation records."""
 
-    validate: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Validation record; may be repeated.")
-    ] = None
+    validate: list[Path] | None = with_help("Validation record; may be repeated.", metavar="FILE")
 
     def read(self, recorded: RecordFiles) -> tuple[Record, ...]:
         """Read the validation records with the settings of the fitted ones."""
@@ -242,10 +240,8 @@ def folder_name(files: Sequence[Path]) -> str:
 
 def loops(
     recorded: RecordFiles,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="File or folder for the figure.")] = Path(
-        "reports"
-    ),
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
+    out: Path = with_help("File or folder for the figure.", default=Path("reports"), metavar="DIR"),
+    figures: bool = with_help("Draw the figure.", default=True),
     accept_order: AcceptOrder = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -313,12 +309,9 @@ def identify(
     cascade: CascadeOptions,
     block: KindOptions,
     in_loop: InLoop,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File for the model.")] = Path("model.json"),
-    report: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for the fit report; default: beside the model."),
-    ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
+    out: Path = with_help("File for the model.", default=Path("model.json"), metavar="FILE"),
+    report: Path | None = with_help("Folder for the fit report; default: beside the model.", metavar="DIR"),
+    figures: bool = with_help("Draw figures.", default=True),
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -384,11 +377,11 @@ def compare(
     held: Validation,
     cascade: CascadeOptions,
     in_loop: InLoop,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the comparison.")] = Path("compare"),
-    jobs: Annotated[
-        int, typer.Option(min=1, help="Parallel identifications.", show_default="the processors")
-    ] = PROCESSORS,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw the figure.")] = True,
+    out: Path = with_help("Folder for the comparison.", default=Path("compare"), metavar="DIR"),
+    jobs: int = with_help(
+        "Parallel identifications.", default=PROCESSORS, min=1, show_default="the processors"
+    ),
+    figures: bool = with_help("Draw the figure.", default=True),
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
-from hammerstein.commands.options import AsJson, Overwrite, write_output
+from hammerstein.commands.options import AsJson, Overwrite, with_help, write_output
 from hammerstein.commands.terminal import Watch, complain, show, tell, tell_json, tell_kept
 from hammerstein.errors import InputError
 from hammerstein.files import refuse_unwritable
@@ -34,30 +34,19 @@ KEPT = f"in {place}" if (place := folder_of_runs()) else "(the cache is off)"
 
 def run(
     paths: Paths,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder for the reports; default: reports beside the scenarios, or here."
-        ),
-    ] = None,
+    out: Path | None = with_help(
+        "Folder for the reports; default: reports beside the scenarios, or here.", metavar="DIR"
+    ),
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw figures.")] = True,
-    png: Annotated[bool, typer.Option("--png", help="Write figures as PNG, too.")] = False,
-    traces: Annotated[
-        str | None, typer.Option(metavar="csv|mat", help="Write all signals of every case.")
-    ] = None,
-    page: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write one page with all figures and judgements.")
-    ] = None,
-    interactive: Annotated[
-        bool, typer.Option("--interactive", help="Add plots with zoom to each page.")
-    ] = False,
-    open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help=f"Ignore results of earlier runs {KEPT}.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print memory and time of every part; run nothing.")
-    ] = False,
+    figures: bool = with_help("Draw figures.", default=True),
+    png: bool = with_help("Write figures as PNG, too.", default=False),
+    traces: str | None = with_help("Write all signals of every case.", metavar="csv|mat"),
+    page: Path | None = with_help("Write one page with all figures and judgements.", metavar="DIR"),
+    interactive: bool = with_help("Add plots with zoom to each page.", default=False),
+    open_: bool = with_help("Open the page in the browser.", "--open", default=False),
+    fresh: bool = with_help(f"Ignore results of earlier runs {KEPT}.", default=False),
+    dry_run: bool = with_help("Print memory and time of every part; run nothing.", default=False),
     yes: Yes = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -247,19 +236,11 @@ def _planned(
 
 def check(
     paths: Paths,
-    baseline: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the baselines.")] = Path(
-        "reports/baseline"
-    ),
-    update_baseline: Annotated[
-        bool, typer.Option("--update-baseline", help="Accept the numbers as the new baseline.")
-    ] = False,
-    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a JUnit file for CI.")] = None,
-    markdown: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a summary in Markdown.")
-    ] = None,
-    html: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a page with old and new curves.")
-    ] = None,
+    baseline: Path = with_help("Folder of the baselines.", default=Path("reports/baseline"), metavar="DIR"),
+    update_baseline: bool = with_help("Accept the numbers as the new baseline.", default=False),
+    junit: Path | None = with_help("Write a JUnit file for CI.", metavar="FILE"),
+    markdown: Path | None = with_help("Write a summary in Markdown.", metavar="FILE"),
+    html: Path | None = with_help("Write a page with old and new curves.", metavar="FILE"),
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
     yes: Yes = False,
@@ -310,7 +291,7 @@ def one_scenario(path: Path) -> tuple[str, Scenario]:
 
 def plot(
     path: Annotated[Path, typer.Argument(help="Scenario file.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the figures.")] = Path("reports"),
+    out: Path = with_help("Folder for the figures.", default=Path("reports"), metavar="DIR"),
     jobs: Jobs = PROCESSORS,
     yes: Yes = False,
     overwrite: Overwrite = False,

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hammerstein.commands.options import AsJson
+from hammerstein.commands.options import AsJson, with_help
 from hammerstein.commands.terminal import show as show_table, tell, tell_json
 from hammerstein.errors import InputError
 
@@ -21,13 +21,9 @@ def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create; default: here.")] = Path(
         "."
     ),
-    of: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Copy scenarios with their accepted numbers: paper, or those of a plug-in.",
-        ),
-    ] = None,
+    of: str | None = with_help(
+        "Copy scenarios with their accepted numbers: paper, or those of a plug-in.", metavar="NAME"
+    ),
 ) -> None:
     """Create a working folder with an example.
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import typer
 
 from hammerstein.commands.jobs import PROCESSORS, Address, Jobs, Yes, announce, process_pool, workers
-from hammerstein.commands.options import Overwrite, refuse_output, write_output
+from hammerstein.commands.options import Overwrite, refuse_output, with_help, write_output
 from hammerstein.commands.scenarios import one_scenario
 from hammerstein.commands.terminal import Watch, complain, tell
 from hammerstein.errors import InputError
@@ -33,16 +33,12 @@ LINES_AT_ONCE = 1000  # of a Parquet file
 
 def sweep(
     path: Annotated[Path, typer.Argument(help="Scenario file with a table [study].")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File for the rows, .csv or .parquet.")
-    ] = None,
+    out: Path | None = with_help("File for the rows, .csv or .parquet.", metavar="FILE"),
     jobs: Jobs = PROCESSORS,
     cluster: Address = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Ignore results of earlier runs.")] = False,
+    fresh: bool = with_help("Ignore results of earlier runs.", default=False),
     overwrite: Overwrite = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the number of runs and the time; run nothing.")
-    ] = False,
+    dry_run: bool = with_help("Print the number of runs and the time; run nothing.", default=False),
     yes: Yes = False,
 ) -> None:
     """Run a scenario for many values of its keys.
