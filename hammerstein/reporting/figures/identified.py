@@ -21,28 +21,8 @@ from hammerstein.identification.linear.frequency_response import FrequencyRespon
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.loops import widest_cycle
 from hammerstein.records.record import Record
+from hammerstein.reporting.figures import style
 from hammerstein.reporting.figures.loops import LoopRun, figure_of_columns
-from hammerstein.reporting.figures.style import (
-    COLOURS,
-    DARK,
-    MOST_POINTS,
-    PALE,
-    WIDTH_IN,
-    axis_label,
-    column_words,
-    drawing,
-    extremes,
-    in_lines,
-    legend_above,
-    letter,
-    line_style,
-    plain,
-    plain_numbers,
-    sparse_markers,
-    thin_trace,
-    time_axis,
-    unmarked_style,
-)
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -152,44 +132,42 @@ def residual_figure(fit: Fit, record: Record, start: InitialState) -> Figure:
     others = [kind for kind in fit.candidates if kind != "linear" or fit.kind != "hammerstein"]
     kinds: list[Kind] = [fit.kind, *(kind for kind in others if kind != fit.kind)]
     left = {kind: fit.candidates[kind].residual(record, start) for kind in kinds}
-    most = MOST_POINTS // (2 * len(fit.outputs))
-    with drawing(0.9 + 2.2 * len(fit.outputs)) as figure:
+    most = style.MOST_POINTS // (2 * len(fit.outputs))
+    with style.drawing(0.9 + 2.2 * len(fit.outputs)) as figure:
         panels = figure.subplots(len(fit.outputs), 2, squeeze=False)
         entries: dict[str, Artist] = {}
         for o, row in enumerate(panels):
             for number, kind in enumerate(kinds):
                 kept = kind == fit.kind
-                style = unmarked_style(number) | {"linewidth": 1.0, "zorder": 20 - number}
+                pen = style.unmarked_style(number) | {"linewidth": 1.0, "zorder": 20 - number}
                 if kept:  # others may leave a hundred times as much, and would hide it
-                    _draw_over_time(row[0], left[kind][o], record.sample_time_s, style, most)
-                (line,) = row[1].plot(*spectrum(left[kind][o], record.sample_time_s), **style)
+                    _draw_over_time(row[0], left[kind][o], record.sample_time_s, pen, most)
+                (line,) = row[1].plot(*spectrum(left[kind][o], record.sample_time_s), **pen)
                 entries[KIND_NAMES[kind] + (", chosen" if kept else "")] = line
-            _, unit = time_axis(record.sample_time_s * record.samples)
-            row[0].set(ylabel=f"error of {axis_label(fit.outputs[o], 'µm')}", xlabel=unit)
+            _, unit = style.time_axis(record.sample_time_s * record.samples)
+            row[0].set(ylabel=f"error of {style.axis_label(fit.outputs[o], 'µm')}", xlabel=unit)
             row[1].set(ylabel="amplitude [µm]", xlabel="frequency [Hz]", xscale="log", yscale="log")
             row[1].grid(visible=True, which="major")
         for number, axes in enumerate(panels.flat):
-            letter(axes, number, "all models" if number % 2 else KIND_NAMES[fit.kind])
+            style.letter(axes, number, "all models" if number % 2 else KIND_NAMES[fit.kind])
         for axes in panels[:, 1]:
-            plain_numbers(axes.yaxis)
-            plain_numbers(axes.xaxis)
-        legend_above(figure, entries, f"Prediction error on {Path(record.source).name}")
+            style.plain_numbers(axes.yaxis)
+            style.plain_numbers(axes.xaxis)
+        style.legend_above(figure, entries, f"Prediction error on {Path(record.source).name}")
     return figure
 
 
 def _draw_over_time(
-    axes: Axes, error: Array, sample_time_s: float, style: Mapping[str, Any], most: int
+    axes: Axes, error: Array, sample_time_s: float, pen: Mapping[str, Any], most: int
 ) -> None:
     """Residual over time; for many samples, the band that they fill."""
-    factor, _ = time_axis(sample_time_s * len(error))
+    factor, _ = style.time_axis(sample_time_s * len(error))
     time = np.asarray(factor * sample_time_s * np.arange(len(error)))
     if len(error) <= most:
-        axes.plot(time, error, **style)
+        axes.plot(time, error, **pen)
     else:
-        edges, low, high = extremes(time, error, BANDS)
-        axes.fill_between(
-            edges, low, high, **{name: style[name] for name in ("color", "linewidth", "zorder")}
-        )
+        edges, low, high = style.extremes(time, error, BANDS)
+        axes.fill_between(edges, low, high, **{name: pen[name] for name in ("color", "linewidth", "zorder")})
 
 
 def spectrum(error_um: Array, sample_time_s: float) -> tuple[Array, Array]:
@@ -221,17 +199,17 @@ def operators_figure(fit: Fit) -> Figure:
     thresholds = sum(map(max, zip(*fit.operators, strict=True)))  # parameters behind them are of the axes
     fitted = fit.covariance is not None and any(i < thresholds for i in fit.covariance.fitted)
     chosen = sorted({n for row in fit.operators for n in row})
-    with drawing(0.4 * WIDTH_IN, columns=1) as figure:
+    with style.drawing(0.4 * style.WIDTH_IN, columns=1) as figure:
         axes = figure.subplots()
         entries: dict[str, Artist] = {}
         for o, name in enumerate(fit.outputs):
             errors = [max(point.nrmse_percent[o], LEAST) for point in fit.error_curve]
-            style = line_style(o) | {"marker": "os^xvD+"[o % 7]}
-            (entries[f"{column_words(name)}, cross-validation, {UNFITTED}"],) = axes.plot(
-                counts, errors, **style
+            pen = style.line_style(o) | {"marker": "os^xvD+"[o % 7]}
+            (entries[f"{style.column_words(name)}, cross-validation, {UNFITTED}"],) = axes.plot(
+                counts, errors, **pen
             )
         for n in chosen:
-            mark = axes.axvline(n, color=PALE, linewidth=5.0, alpha=0.4, zorder=0)
+            mark = axes.axvline(n, color=style.PALE, linewidth=5.0, alpha=0.4, zorder=0)
         entries["operators of this model"] = mark
         for o in range(len(fit.outputs)):
             n = int(np.median([count for count in fit.operators[o] if count] or [0]))
@@ -240,9 +218,9 @@ def operators_figure(fit: Fit) -> Figure:
             entries[f"this model on the {records}{', thresholds fitted' if fitted else ''}"] = point
         axes.set(xlabel="operators of each pair", ylabel="rms error [% of range]", xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
-            plain_numbers(axis)
-        letter(axes, 0)
-        legend_above(figure, entries)
+            style.plain_numbers(axis)
+        style.letter(axes, 0)
+        style.legend_above(figure, entries)
     return figure
 
 
@@ -258,15 +236,15 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
     measured, said : estimated responses of the records, and of the model's predictions
     """
     p, m = measured.response.shape[:2]
-    with drawing(0.9 + 2.1 * p) as figure:
+    with style.drawing(0.9 + 2.1 * p) as figure:
         panels = figure.subplots(p, m + 1, squeeze=False)
         entries: dict[str, Artist] = {}
         for number, ((o, k), axes) in enumerate(np.ndenumerate(panels)):
-            pair = [*map(column_words, (*fit.inputs[k : k + 1], fit.outputs[o]))]
-            letter(axes, number, " to ".join(pair) if k < m else "coherence")
+            pair = [*map(style.column_words, (*fit.inputs[k : k + 1], fit.outputs[o]))]
+            style.letter(axes, number, " to ".join(pair) if k < m else "coherence")
             axes.set(xscale="log", xlabel="frequency [Hz]")
             axes.set_xlim(measured.frequency_hz[0], measured.frequency_hz[-1])
-            plain_numbers(axes.xaxis)
+            style.plain_numbers(axes.xaxis)
             if k == m:
                 _draw_spectrum(axes, measured.frequency_hz, measured.coherence[o], 0)
                 axes.set_ylim(-0.05, 1.05)
@@ -279,16 +257,16 @@ def response_figure(fit: Fit, measured: FrequencyResponse, said: FrequencyRespon
             low, high = axes.get_ylim()
             if high < LEAST_RATIO * low:
                 axes.set_ylim((low * high / LEAST_RATIO) ** 0.5, (low * high * LEAST_RATIO) ** 0.5)
-            plain_numbers(axes.yaxis)
-        legend_above(figure, entries)
+            style.plain_numbers(axes.yaxis)
+        style.legend_above(figure, entries)
     return figure
 
 
 def _draw_spectrum(axes: Axes, frequency_hz: Array, values: Array, number: int) -> Artist:
-    style = line_style(number) | {"marker": "" if len(values) > LINES else "o", "linewidth": 1.2}
-    every = sparse_markers(len(values), number, 40)
-    x, y = thin_trace(frequency_hz, np.maximum(values, LEAST), 2 * LINES)
-    (line,) = axes.plot(x, y, markevery=every, clip_on=False, **style)  # markers at the ends stay whole
+    pen = style.line_style(number) | {"marker": "" if len(values) > LINES else "o", "linewidth": 1.2}
+    every = style.sparse_markers(len(values), number, 40)
+    x, y = style.thin_trace(frequency_hz, np.maximum(values, LEAST), 2 * LINES)
+    (line,) = axes.plot(x, y, markevery=every, clip_on=False, **pen)  # markers at the ends stay whole
     return line
 
 
@@ -309,8 +287,8 @@ def compared_figure(found: Comparison) -> Figure:
     found : what ``compare`` gave
     """
     names = [entry.name for entry in found.entries]
-    labels = [in_lines(f"{entry.name} ({entry.parameters})", NAME_LETTERS) for entry in found.entries]
-    with drawing(1.5 + 0.34 * max(5, len(names))) as figure:
+    labels = [style.in_lines(f"{entry.name} ({entry.parameters})", NAME_LETTERS) for entry in found.entries]
+    with style.drawing(1.5 + 0.34 * max(5, len(names))) as figure:
         panels = figure.subplots(1, 2)
         fitted = [entry.fitted_at for entry in found.entries]
         entries = _draw_errors(panels[0], fitted, "fitted", hollow=bool(found.validation))
@@ -320,15 +298,17 @@ def compared_figure(found: Comparison) -> Figure:
         _draw_left(panels[1], [entry.left for entry in found.entries])
         quantities = ("rms error [% of range]", "compensator error [%]")
         for number, (axes, label) in enumerate(zip(panels, quantities, strict=True)):
-            letter(axes, number)
+            style.letter(axes, number)
             axes.set(xscale="log", xlabel=label)
             axes.margins(x=0.12, y=0.08)
-            plain_numbers(axes.xaxis)
+            style.plain_numbers(axes.xaxis)
             chosen = names.index(found.recommended)
-            band = axes.axhspan(chosen - 0.45, chosen + 0.45, color=PALE, alpha=0.28, zorder=0, linewidth=0)
+            band = axes.axhspan(
+                chosen - 0.45, chosen + 0.45, color=style.PALE, alpha=0.28, zorder=0, linewidth=0
+            )
             axes.set_yticks(range(len(names)), labels)
             axes.set_ylim(len(names) - 0.4, -0.6)
-        legend_above(figure, {**entries, "recommended": band})
+        style.legend_above(figure, {**entries, "recommended": band})
     return figure
 
 
@@ -338,7 +318,7 @@ def _draw_errors(
     """Errors of every model at each frequency."""
     drawn: dict[str, Artist] = {}
     for number, hz in enumerate(scores[0]):
-        colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
+        colour, marker = style.COLOURS[number % len(style.COLOURS)], MARKERS[number % len(MARKERS)]
         values = [max(score[hz].mean_percent, LEAST_PERCENT) for score in scores]
         face = "white" if hollow else colour
         (drawn[told if len(scores[0]) == 1 else f"{told}, {hz:g} Hz"],) = axes.plot(
@@ -351,9 +331,9 @@ def _draw_left(axes: Axes, left: Sequence[Left]) -> None:
     """One point a model; where there is no number, why not."""
     for place, one in enumerate(left):
         if one.percent is not None:
-            axes.plot(max(one.percent, LEAST_PERCENT), place, "o", color=DARK, markersize=5.0, zorder=3)
+            axes.plot(max(one.percent, LEAST_PERCENT), place, "o", color=style.DARK, markersize=5.0, zorder=3)
             continue
         why = one.reason if len(one.reason) <= REASON_LETTERS else "no compensator"
         white = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
         across = axes.get_yaxis_transform()
-        axes.text(0.03, place, plain(why), transform=across, va="center", color="#666666", bbox=white)
+        axes.text(0.03, place, style.plain(why), transform=across, va="center", color="#666666", bbox=white)

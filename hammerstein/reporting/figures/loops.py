@@ -12,24 +12,7 @@ from hammerstein.arrays import Array
 from hammerstein.experiment.report import significant
 from hammerstein.records.loops import Loop, move_at_once, telling_loops, widest_cycle
 from hammerstein.records.record import Record, driven_inputs
-from hammerstein.reporting.figures.style import (
-    MOST_POINTS,
-    PALE,
-    WIDTH_IN,
-    axis_label,
-    few_ticks,
-    legend_above,
-    letter,
-    line_style,
-    new_figure,
-    overlay_style,
-    plain,
-    side_by_side,
-    sparse_markers,
-    styled,
-    thin_path,
-    thin_trace,
-)
+from hammerstein.reporting.figures import style
 from hammerstein.runtime.staging import Owner
 
 if TYPE_CHECKING:
@@ -97,11 +80,11 @@ def loops_figure(
     >>> figure.axes[0].get_ylabel()
     'displacement [um]'
     """
-    with styled():
+    with style.styled():
         figure, panels = _panels(runs, len(output_labels), height=0.65)
         numbers = _numbers([run.label for run in runs])
         models = _numbers([label for run in runs for label, _ in run.predictions_um])
-        most = MOST_POINTS // (len(runs) * len(output_labels) * (1 + len(models)))
+        most = style.MOST_POINTS // (len(runs) * len(output_labels) * (1 + len(models)))
         entries = {"ideal": _draw_ideal(panels, runs)} if ideal else {}
         for run in runs:
             for o in range(len(output_labels)):
@@ -111,7 +94,7 @@ def loops_figure(
             axes.margins(0.04)
         _letters(panels, len(output_labels) == len(input_labels))
         order = [*numbers, *models, *(["ideal"] if ideal else [])]
-        legend_above(figure, {plain(label): entries[label] for label in order}, title)
+        style.legend_above(figure, {style.plain(label): entries[label] for label in order}, title)
     return figure
 
 
@@ -127,18 +110,18 @@ def errors_figure(
     output_labels : labels of the vertical axes, with units
     title : written above the legend
     """
-    with styled():
+    with style.styled():
         figure, panels = _panels(runs, len(output_labels), height=0.6)
         numbers = _numbers([run.label for run in runs])
-        most = MOST_POINTS // (len(runs) * len(output_labels))
+        most = style.MOST_POINTS // (len(runs) * len(output_labels))
         entries: dict[str, Artist] = {}
         for run in runs:
             number = numbers[run.label]
             for o in range(len(output_labels)):
-                cycles, error = thin_trace(run.cycles, run.errors_um[o], most)
-                style = line_style(number) | {"linewidth": 1.1, "label": plain(run.label)}
-                markers = sparse_markers(len(error), number)
-                (entries[run.label],) = panels[o, run.driven].plot(cycles, error, markevery=markers, **style)
+                cycles, error = style.thin_trace(run.cycles, run.errors_um[o], most)
+                pen = style.line_style(number) | {"linewidth": 1.1, "label": style.plain(run.label)}
+                markers = style.sparse_markers(len(error), number)
+                (entries[run.label],) = panels[o, run.driven].plot(cycles, error, markevery=markers, **pen)
         for (o, _), axes in panels.items():
             axes.set(xlabel="time [cycles]", ylabel=output_labels[o])
             axes.margins(x=0.0)
@@ -146,9 +129,10 @@ def errors_figure(
         _letters(panels, len(output_labels) == len(input_labels), remarks)
         worst = {label: max(run.worst_um for run in runs if run.label == label) for label in numbers}
         named = {
-            f"{plain(label)} (worst {significant(worst[label])} µm)": entries[label] for label in numbers
+            f"{style.plain(label)} (worst {significant(worst[label])} µm)": entries[label]
+            for label in numbers
         }
-        legend_above(figure, named, title)
+        style.legend_above(figure, named, title)
     return figure
 
 
@@ -159,8 +143,8 @@ def _panels(runs: Sequence[LoopRun] | Sequence[ErrorRun], rows: int, height: flo
     """Empty panels by output and input; an input that no run drives has no column."""
     driven = sorted({run.driven for run in runs})
     places = [(o, k) for o in range(rows) for k in driven]
-    lines, columns = (rows, len(driven)) if len(driven) > 1 else side_by_side(rows)
-    figure = new_figure(0.6 + lines * WIDTH_IN / max(columns, 2) * height, columns)
+    lines, columns = (rows, len(driven)) if len(driven) > 1 else style.side_by_side(rows)
+    figure = style.new_figure(0.6 + lines * style.WIDTH_IN / max(columns, 2) * height, columns)
     grid = figure.subplots(lines, columns, squeeze=False)
     for axes in grid.flat[len(places) :]:
         axes.remove()
@@ -175,14 +159,18 @@ def _draw_loop(
     axes: Axes, run: LoopRun, output: int, number: int, models: dict[str, int], most: int
 ) -> dict[str, Artist]:
     """One loop and the models' loops over it; gives the entries of the legend."""
-    x, y = thin_path([run.input_, run.outputs_um[output]], most)
+    x, y = style.thin_path([run.input_, run.outputs_um[output]], most)
     (line,) = axes.plot(
-        x, y, markevery=sparse_markers(len(x), number), label=plain(run.label), **line_style(number)
+        x,
+        y,
+        markevery=style.sparse_markers(len(x), number),
+        label=style.plain(run.label),
+        **style.line_style(number),
     )
     entries: dict[str, Artist] = {run.label: line}
     for label, prediction_um in run.predictions_um:
-        x, y = thin_path([run.input_, prediction_um[output]], most)
-        (entries[label],) = axes.plot(x, y, label=plain(label), **overlay_style(models[label]))
+        x, y = style.thin_path([run.input_, prediction_um[output]], most)
+        (entries[label],) = axes.plot(x, y, label=style.plain(label), **style.overlay_style(models[label]))
     return entries
 
 
@@ -192,7 +180,7 @@ def _draw_ideal(panels: Panels, runs: Sequence[LoopRun]) -> Artist:
         inputs = np.concatenate([run.input_ for run in runs if run.driven == k])
         ends = np.array([inputs.min(), inputs.max()])
         (line,) = axes.plot(
-            ends, ends if o == k else 0.0 * ends, color=PALE, linewidth=3.0, alpha=0.5, label="ideal"
+            ends, ends if o == k else 0.0 * ends, color=style.PALE, linewidth=3.0, alpha=0.5, label="ideal"
         )
     return line
 
@@ -201,8 +189,8 @@ def _letters(panels: Panels, square: bool, remarks: Sequence[str] = ()) -> None:
     """Letters, and what kind of transfer each panel shows."""
     for number, ((o, k), axes) in enumerate(panels.items()):
         kind = ("direct" if o == k else "cross-coupling") if square and len(panels) > 1 else ""
-        few_ticks(axes)
-        letter(axes, number, ", ".join(word for word in (kind, remarks[k] if remarks else "") if word))
+        style.few_ticks(axes)
+        style.letter(axes, number, ", ".join(word for word in (kind, remarks[k] if remarks else "") if word))
 
 
 LOOPS = Owner("loops")
@@ -242,7 +230,10 @@ def figure_of_columns(
     runs: Sequence[LoopRun], inputs: Sequence[str], outputs: Sequence[str]
 ) -> Figure | None:
     """Loops of columns of records, by their names; None without loops."""
-    units = [axis_label(name, "V") for name in inputs], [axis_label(name, "µm") for name in outputs]
+    units = (
+        [style.axis_label(name, "V") for name in inputs],
+        [style.axis_label(name, "µm") for name in outputs],
+    )
     return loops_figure(runs, *units) if runs else None
 
 

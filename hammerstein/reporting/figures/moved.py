@@ -10,17 +10,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.quantities import by_key
 from hammerstein.regression.compare import Numbers, all_tolerances, deviation, limit, tolerance_of
-from hammerstein.reporting.figures.style import (
-    PALE,
-    WIDTH_IN,
-    drawing,
-    few_ticks,
-    legend_above,
-    letter,
-    line_style,
-    plain,
-    plain_numbers,
-)
+from hammerstein.reporting.figures import style
 from hammerstein.reporting.figures.sweep import log_where_wide
 from hammerstein.scenario.scenario import Tolerance
 
@@ -110,29 +100,31 @@ def moved_figure(courses: Sequence[SweptNumber], metric: str) -> Figure:
     metric : name of the number, with its unit
     """
     shown = courses[:MOST_COURSES]
-    with drawing(1.1 + 0.35 * WIDTH_IN + 0.2 * len(shown)) as figure:
+    with style.drawing(1.1 + 0.35 * style.WIDTH_IN + 0.2 * len(shown)) as figure:
         left, right = figure.subplots(1, 2)
         entries: dict[str, Artist] = {}
         far = max(course.excess for course in shown) > LARGE
         for number, course in enumerate(shown):
-            entries[plain(course.label)] = _draw(left, right, course, number, LEAST_SHARE if far else 0.0)
-        (entries["baseline with tolerance"],) = left.plot([], [], color=PALE, linewidth=4.0, alpha=0.6)
-        right.axhspan(0.0, 1.0, color=PALE, alpha=0.3, linewidth=0.0)
+            entries[style.plain(course.label)] = _draw(
+                left, right, course, number, LEAST_SHARE if far else 0.0
+            )
+        (entries["baseline with tolerance"],) = left.plot([], [], color=style.PALE, linewidth=4.0, alpha=0.6)
+        right.axhspan(0.0, 1.0, color=style.PALE, alpha=0.3, linewidth=0.0)
         log_where_wide(left, np.concatenate([side for c in shown for side in (c.accepted, c.now)]))
         if far:
             right.set_yscale("log")
             right.set_ylim(bottom=LEAST_SHARE)
-            plain_numbers(right.yaxis)
+            style.plain_numbers(right.yaxis)
         for axes, label in ((left, _quantity(metric)), (right, "|change| / allowed change")):
             axes.set(xlabel=shown[0].x_label, ylabel=label)
             if axes.get_yscale() == "linear":
-                few_ticks(axes)
+                style.few_ticks(axes)
             if not shown[0].x_label:
                 places = range(1, len(shown) + 1)
                 axes.set(xticks=places, xlim=(0.5, len(shown) + 0.5), xlabel="place in the legend")
-        letter(left, 0)
-        letter(right, 1, "grey: allowed" + f"; lowest: {LEAST_SHARE:g} or less" * far)
-        legend_above(figure, entries)
+        style.letter(left, 0)
+        style.letter(right, 1, "grey: allowed" + f"; lowest: {LEAST_SHARE:g} or less" * far)
+        style.legend_above(figure, entries)
     return figure
 
 
@@ -141,18 +133,18 @@ def _draw(left: Axes, right: Axes, course: SweptNumber, number: int, least: floa
 
     least : share of what is allowed that stands for less
     """
-    style = line_style(number) | {"markersize": 3.0, "linewidth": 1.0}
-    before: dict[str, Any] = {"color": style["color"], "linewidth": 4.0, "alpha": 0.3}
+    pen = style.line_style(number) | {"markersize": 3.0, "linewidth": 1.0}
+    before: dict[str, Any] = {"color": pen["color"], "linewidth": 4.0, "alpha": 0.3}
     x = course.x
     if not course.x_label:
-        x, style["marker"] = x + number, style.get("marker") or "o"
+        x, pen["marker"] = x + number, pen.get("marker") or "o"
         before |= {"marker": "s", "markersize": 10.0}
     left.plot(x, course.accepted, **before)
     low, high = course.accepted - course.allowed, course.accepted + course.allowed
-    left.fill_between(x, low, high, color=style["color"], alpha=0.2, linewidth=0.0)
+    left.fill_between(x, low, high, color=pen["color"], alpha=0.2, linewidth=0.0)
     share = np.abs(course.moved) / np.maximum(course.allowed, LEAST_ALLOWED)
-    right.plot(x, np.maximum(share, least), **style)
-    (line,) = left.plot(x, course.now, **style)
+    right.plot(x, np.maximum(share, least), **pen)
+    (line,) = left.plot(x, course.now, **pen)
     return line
 
 
@@ -176,4 +168,6 @@ def _quantity(metric: str) -> str:
     if metric == "value":
         return "value judged, in its unit"
     name, _, unit = metric.rpartition("_")
-    return plain(f"{name.replace('_', ' ')} [{UNITS[unit]}]" if unit in UNITS else metric.replace("_", " "))
+    return style.plain(
+        f"{name.replace('_', ' ')} [{UNITS[unit]}]" if unit in UNITS else metric.replace("_", " ")
+    )

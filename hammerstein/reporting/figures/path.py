@@ -11,26 +11,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import significant
-from hammerstein.reporting.figures.style import (
-    COLOURS,
-    DARK,
-    MOST_POINTS,
-    WIDTH_IN,
-    drawing,
-    few_ticks,
-    in_lines,
-    legend_above,
-    letter,
-    new_figure,
-    plain,
-    plain_numbers,
-    side_by_side,
-    styled,
-    symbol,
-    thin_path,
-    thin_trace,
-    time_axis,
-)
+from hammerstein.reporting.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -46,7 +27,12 @@ LINES: tuple[Any, ...] = (
     (0, (12, 2)),
     (0, (8, 1.5, 1.5, 1.5, 1.5, 1.5)),
 )
-TARGET: dict[str, Any] = {"color": DARK, "linestyle": (0, (3, 2.5)), "linewidth": 0.9, "label": "target"}
+TARGET: dict[str, Any] = {
+    "color": style.DARK,
+    "linestyle": (0, (3, 2.5)),
+    "linewidth": 0.9,
+    "label": "target",
+}
 APART = 1.02  # sizes of paths that the eye tells apart
 LOGARITHMIC_FROM = 8.0  # ratio of the worst distances from which their axis is logarithmic
 DEEPEST = 1e-4  # part of the worst error below which nothing is told apart: rounding is no result
@@ -118,7 +104,7 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
     target : name of the dashed line, such as ``reference``
     title : written above the legend
     """
-    with styled():
+    with style.styled():
         sizes: dict[str, float] = {}  # of the groups
         for run in runs:
             path = run.output_um if run.target_um is None else run.target_um
@@ -128,7 +114,7 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
         parts, pens = _parts(runs), _pens(runs)
         figure, planes, traces = _layout(len(axes_names), len(parts))
         curves = 3 * len(runs) + len(largest) * len(traces) + len(planes) + len(traces)
-        most = MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
+        most = style.MOST_POINTS // curves  # a path in the plane is longer and gets three times as many
         told_apart = all(b > APART * a for a, b in itertools.pairwise(sorted(sizes.values())))
         lines: dict[str, Artist] = {}
         for plane, labels in zip(planes, parts, strict=False):
@@ -140,13 +126,15 @@ def path_figure(runs: Sequence[PathRun], axes_names: Sequence[str], target: str,
             lines |= _draw_over_time(axes, inside, [run.output_um[axis] for run in inside], pens, most)
             if (target_um := inside[0].target_um) is not None:
                 _draw_over_time(axes, inside[:1], [target_um[axis]], {inside[0].label: TARGET}, most)
-            axes.set_ylabel(in_lines(f"{symbol(axes_names[axis], 'reading')} [µm]", UPRIGHT_LETTERS))
+            axes.set_ylabel(
+                style.in_lines(f"{style.symbol(axes_names[axis], 'reading')} [µm]", UPRIGHT_LETTERS)
+            )
         for number, axes in enumerate(panels := [*planes, *traces]):
-            letter(axes, number, "" if axes in planes and told_apart else group)
-            few_ticks(axes)
+            style.letter(axes, number, "" if axes in planes and told_apart else group)
+            style.few_ticks(axes)
         entries = {_entry(label, largest, runs): line for label, line in lines.items()}
         goal = {target: panels[0].lines[-1]} if runs[0].target_um is not None else {}
-        legend_above(figure, entries | goal, title)
+        style.legend_above(figure, entries | goal, title)
     return figure
 
 
@@ -158,28 +146,28 @@ def path_errors_figure(runs: Sequence[PathRun], axes_names: Sequence[str], title
     """
     groups, parts = list(dict.fromkeys(run.group for run in runs)), _parts(runs)
     length = "distance" if len(axes_names) > 1 else "size of error"
-    labels = [f"{length} [µm]", *(f"{symbol(name, 'error')} [µm]" for name in axes_names)]
+    labels = [f"{length} [µm]", *(f"{style.symbol(name, 'error')} [µm]" for name in axes_names)]
     rows = [(part, 0) for part in parts] if len(parts) > 1 else [(parts[0], k) for k in range(len(labels))]
-    high, wide = (len(rows), len(groups)) if len(groups) > 1 else side_by_side(len(rows))
-    with drawing(0.8 + (1.6 if high > 1 else 2.4) * high, wide) as figure:
+    high, wide = (len(rows), len(groups)) if len(groups) > 1 else style.side_by_side(len(rows))
+    with style.drawing(0.8 + (1.6 if high > 1 else 2.4) * high, wide) as figure:
         shared: Any = "all" if len(parts) > 1 else "row" if len(groups) > 1 else False
         grid = figure.subplots(high, wide, squeeze=False, sharey=shared)
         for axes in grid.flat[len(rows) * len(groups) :]:
             axes.remove()
         panels = np.reshape(grid.flat[: len(rows) * len(groups)], (len(rows), len(groups)))
         lines: dict[str, Artist] = {}
-        most, pens = MOST_POINTS // (len(runs) * (1 if len(parts) > 1 else len(labels))), _pens(runs)
+        most, pens = style.MOST_POINTS // (len(runs) * (1 if len(parts) > 1 else len(labels))), _pens(runs)
         for (row, column), axes in np.ndenumerate(panels):
             part, quantity = rows[row]
             inside = [run for run in runs if run.group == groups[column] and run.label in part]
             lines |= _draw_over_time(axes, inside, [run.errors()[quantity] for run in inside], pens, most)
-            few_ticks(axes)
-            axes.set_ylabel(in_lines(labels[quantity], UPRIGHT_LETTERS))
+            style.few_ticks(axes)
+            axes.set_ylabel(style.in_lines(labels[quantity], UPRIGHT_LETTERS))
             axes.tick_params(labelleft=True)  # each panel is read alone on a telephone
-            letter(axes, row * len(groups) + column, groups[column])
+            style.letter(axes, row * len(groups) + column, groups[column])
             if quantity == 0:
                 _scale_distance(axes, runs)
-        legend_above(figure, {_entry(label, runs, runs): line for label, line in lines.items()}, title)
+        style.legend_above(figure, {_entry(label, runs, runs): line for label, line in lines.items()}, title)
     return figure
 
 
@@ -195,10 +183,10 @@ def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
     labels = dict.fromkeys(run.label for run in runs)
     return {
         label: {
-            "color": COLOURS[i % len(COLOURS)],
+            "color": style.COLOURS[i % len(style.COLOURS)],
             "linestyle": LINES[i % len(LINES)],
             "linewidth": 1.2,
-            "label": plain(label),
+            "label": style.plain(label),
         }
         for i, label in enumerate(labels)
     }
@@ -207,12 +195,12 @@ def _pens(runs: Sequence[PathRun]) -> dict[str, dict[str, Any]]:
 def _layout(n_axes: int, n_parts: int) -> tuple[Figure, list[Axes], list[Axes]]:
     """Empty planes (of two axes) and traces: a plane left of its traces, or planes side by side."""
     if n_axes == 2 and n_parts == 1:
-        figure = new_figure(0.9 + 0.46 * WIDTH_IN)
+        figure = style.new_figure(0.9 + 0.46 * style.WIDTH_IN)
         grid = figure.add_gridspec(2, 2)
         return figure, [figure.add_subplot(grid[:, 0])], [figure.add_subplot(grid[row, 1]) for row in (0, 1)]
     panels = n_parts if n_axes == 2 else n_parts * n_axes
-    lines, columns = side_by_side(panels)
-    figure = new_figure(0.9 + (0.46 * WIDTH_IN if n_axes == 2 else 2.0) * lines, columns)
+    lines, columns = style.side_by_side(panels)
+    figure = style.new_figure(0.9 + (0.46 * style.WIDTH_IN if n_axes == 2 else 2.0) * lines, columns)
     drawn = [figure.add_subplot(lines, columns, number + 1) for number in range(panels)]
     return (figure, drawn, []) if n_axes == 2 else (figure, [], drawn)
 
@@ -226,17 +214,17 @@ def _draw_plane(
     """
     lines: dict[str, Artist] = {}
     for run in runs:
-        x, y = thin_path(list(run.plane_of(run.output_um)), _points(run, most))
+        x, y = style.thin_path(list(run.plane_of(run.output_um)), _points(run, most))
         (lines[run.label],) = axes.plot(x, y, **pens[run.label])
         if is_sparse(run.time_s, run.lap_s):  # the samples themselves
             axes.plot(*run.output_um[:, run.shown], ".", color=pens[run.label]["color"], markersize=4.5)
     for run in {run.group: run for run in runs if run.target_um is not None}.values():
         assert run.target_um is not None
-        x, y = thin_path(list(run.plane_of(run.target_um)), _points(run, most))
+        x, y = style.thin_path(list(run.plane_of(run.target_um)), _points(run, most))
         axes.plot(x, y, **TARGET)
     axes.set_aspect("equal")
-    axes.set_xlabel(f"{symbol(names[0], 'reading')} [µm]")
-    axes.set_ylabel(f"{symbol(names[1], 'reading')} [µm]")
+    axes.set_xlabel(f"{style.symbol(names[0], 'reading')} [µm]")
+    axes.set_ylabel(f"{style.symbol(names[1], 'reading')} [µm]")
     return lines
 
 
@@ -250,9 +238,9 @@ def _draw_over_time(
 ) -> dict[str, Artist]:
     """One signal (sample,) of each run over time; gives the line of each label."""
     lines: dict[str, Artist] = {}
-    factor, time_label = time_axis(runs[0].period_s)
+    factor, time_label = style.time_axis(runs[0].period_s)
     for run, wire in zip(runs, wires, strict=True):
-        time, values = thin_trace(run.time_s[run.shown] * factor, wire[run.shown], most)
+        time, values = style.thin_trace(run.time_s[run.shown] * factor, wire[run.shown], most)
         (lines[run.label],) = axes.plot(time, values, **pens[run.label])
     axes.set_xlabel(time_label)
     axes.margins(x=0.0)
@@ -265,10 +253,10 @@ def _entry(label: str, runs: Sequence[PathRun], every: Sequence[PathRun]) -> str
     """
     same = [run for run in runs if run.label == label]
     if same[0].target_um is None:
-        return plain(label)
+        return style.plain(label)
     worst = max(same, key=lambda run: run.worst_um)
     group = f", {worst.group}" if any(run.group != worst.group for run in every) else ""
-    return f"{plain(label)} (worst {significant(worst.worst_um)} µm{group})"
+    return f"{style.plain(label)} (worst {significant(worst.worst_um)} µm{group})"
 
 
 def _scale_distance(axes: Axes, runs: Sequence[PathRun]) -> None:
@@ -279,7 +267,7 @@ def _scale_distance(axes: Axes, runs: Sequence[PathRun]) -> None:
         axes.set_yscale("log")
         axes.set_ylabel(f"{axes.get_ylabel()}\n(log)")
         axes.set_ylim(0.3 * max(typical, DEEPEST * max(worst)), 1.4 * max(worst))
-        plain_numbers(axes.yaxis)
+        style.plain_numbers(axes.yaxis)
     else:
         axes.set_ylim(0.0, 1.08 * max(worst) or 1.0)
 

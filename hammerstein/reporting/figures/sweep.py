@@ -10,20 +10,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import TOO_FEW
-from hammerstein.reporting.figures.style import (
-    DARK,
-    WIDTH_IN,
-    drawing,
-    few_ticks,
-    legend_above,
-    letter,
-    line_style,
-    plain,
-    plain_numbers,
-    side_by_side,
-    sparse_markers,
-    thin_path,
-)
+from hammerstein.reporting.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -95,9 +82,11 @@ def sweep_figure(
     rows, columns = len(panel_titles), len(panel_titles[0])
     count = max(math.ceil(len(curves) / MOST_CURVES), 1)
     groups = [part.tolist() for part in np.array_split(np.arange(len(curves)), count)]
-    lines, across = (rows, columns) if columns > 1 else side_by_side(rows)
+    lines, across = (rows, columns) if columns > 1 else style.side_by_side(rows)
     shape = ALONE if len(groups) == 1 else IN_ROWS
-    with drawing(0.9 + len(groups) * lines * WIDTH_IN / max(columns, 2) * shape, across) as figure:
+    with style.drawing(
+        0.9 + len(groups) * lines * style.WIDTH_IN / max(columns, 2) * shape, across
+    ) as figure:
         grid = figure.subplots(len(groups) * lines, across, squeeze=False, sharex=True, sharey=True)
         cells = grid.reshape(len(groups), -1)
         for axes in cells[:, rows * columns :].flat:
@@ -106,8 +95,10 @@ def sweep_figure(
         entries: dict[str, Artist] = {}
         for (group, o, k), axes in np.ndenumerate(panels):
             for number in groups[group]:
-                entries[plain(curves[number].label)] = _draw(axes, curves[number], o, k, number)
-        entries = {label: entries[label] for curve in curves if (label := plain(curve.label)) in entries}
+                entries[style.plain(curves[number].label)] = _draw(axes, curves[number], o, k, number)
+        entries = {
+            label: entries[label] for curve in curves if (label := style.plain(curve.label)) in entries
+        }
         _scale(panels, curves)
         for own, row in zip(groups, panels, strict=True):
             _draw_bands(row, [(number, curves[number]) for number in own])
@@ -116,22 +107,24 @@ def sweep_figure(
                 axes.set_ylim(bottom=0.0)
             axes.margins(x=0.02, y=0.08)  # about all that is drawn, bands included
             o, k = divmod(number % (rows * columns), columns)
-            letter(axes, number, panel_titles[o][k])
+            style.letter(axes, number, panel_titles[o][k])
             axes.set(xlabel=x_label, ylabel=quantity)
             axes.tick_params(labelbottom=True, labelleft=True)  # each panel is read alone on a telephone
-        legend_above(figure, entries | _explained(curves), title)
+        style.legend_above(figure, entries | _explained(curves), title)
     return figure
 
 
 def _draw(axes: Axes, curve: SweepCurve, output: int, input_: int, number: int) -> Artist:
     """One curve in one panel, with its mark."""
-    style, values = line_style(number) | {"label": plain(curve.label)}, curve.values[output, input_]
-    (line,) = axes.plot(curve.x, values, markevery=sparse_markers(len(values), number, markers=9), **style)
+    pen, values = style.line_style(number) | {"label": style.plain(curve.label)}, curve.values[output, input_]
+    (line,) = axes.plot(
+        curve.x, values, markevery=style.sparse_markers(len(values), number, markers=9), **pen
+    )
     mark = _mark(curve)
     if mark is not None:
         logarithms = np.log(np.maximum(values, 1e-12))
         height = np.exp(np.interp(np.log(mark), np.log(curve.x), logarithms))
-        axes.plot([mark], [height], color=style["color"], zorder=3, clip_on=False, **STAR)
+        axes.plot([mark], [height], color=pen["color"], zorder=3, clip_on=False, **STAR)
     return line
 
 
@@ -140,7 +133,7 @@ def _draw_bands(panels: np.ndarray, curves: Sequence[tuple[int, SweepCurve]]) ->
     banded = [(number, curve) for number, curve in curves if curve.band is not None]
     for place, (number, curve) in enumerate(banded):
         assert curve.band is not None
-        pen = {"color": line_style(number)["color"], "label": plain(curve.label)}
+        pen = {"color": style.line_style(number)["color"], "label": style.plain(curve.label)}
         for (o, k), axes in np.ndenumerate(panels):
             low, high, nominal = (values[o, k] for values in curve.band)
             if len(banded) == 1:
@@ -194,7 +187,7 @@ def _scale(panels: np.ndarray, curves: Sequence[SweepCurve]) -> None:
     for axes in panels.flat:
         if x.max() >= LOGARITHMIC_FROM * x.min():
             axes.set_xscale("log")
-            plain_numbers(axes.xaxis)
+            style.plain_numbers(axes.xaxis)
         elif (x == np.round(x)).all():
             axes.xaxis.get_major_locator().set_params(integer=True)
         log_where_wide(axes, values)
@@ -204,7 +197,7 @@ def log_where_wide(axes: Axes, values: Array) -> None:
     """Let the vertical axis be logarithmic where values span more than about a decade."""
     if values.min() > 0.0 and values.max() >= LOGARITHMIC_FROM * values.min():
         axes.set_yscale("log")
-        plain_numbers(axes.yaxis)
+        style.plain_numbers(axes.yaxis)
 
 
 MOST_CYCLES = 1000  # points of a curve
@@ -231,26 +224,26 @@ def drift_figure(runs: Sequence[DriftRun], names: Sequence[str]) -> Figure:
     labels = list(dict.fromkeys(run.label for run in runs))
     longest = max(float(run.time_s[-1]) for run in runs)
     factor, unit = (1.0 / 60.0, "min") if longest > MINUTES_FROM_S else (1.0, "s")
-    rows, columns = side_by_side(len(axes_shown))
-    with drawing(0.8 + 2.3 * rows, columns) as figure:
+    rows, columns = style.side_by_side(len(axes_shown))
+    with style.drawing(0.8 + 2.3 * rows, columns) as figure:
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in panels[len(axes_shown) :]:
             axes.remove()
         entries: dict[str, Artist] = {}
         for number, (axis, axes) in enumerate(zip(axes_shown, panels, strict=False)):
             for run in (run for run in runs if run.axis == axis):
-                time, mean = thin_path([run.time_s * factor, run.mean_um], MOST_CYCLES)
+                time, mean = style.thin_path([run.time_s * factor, run.mean_um], MOST_CYCLES)
                 place = labels.index(run.label)
-                markers = sparse_markers(len(mean), place)
-                (entries[plain(run.label)],) = axes.plot(
-                    time, mean, markevery=markers, label=plain(run.label), **line_style(place)
+                markers = style.sparse_markers(len(mean), place)
+                (entries[style.plain(run.label)],) = axes.plot(
+                    time, mean, markevery=markers, label=style.plain(run.label), **style.line_style(place)
                 )
             axes.set_ylabel(f"mean error of {names[axis]} [µm]")
             axes.margins(x=0.01)
-            few_ticks(axes)
+            style.few_ticks(axes)
             axes.set_xlabel(f"time [{unit}]")
-            letter(axes, number)
-        legend_above(figure, entries, "True position: mean error of each cycle")
+            style.letter(axes, number)
+        style.legend_above(figure, entries, "True position: mean error of each cycle")
     return figure
 
 
@@ -279,18 +272,18 @@ def sensitivity_figure(
     ['weights', 'noise']
     """
     places, height = np.arange(len(names), dtype=np.float64), FILLED / len(bars)
-    with drawing(1.2 + 0.24 * len(names) * max(2, len(bars)), columns=1) as figure:
+    with style.drawing(1.2 + 0.24 * len(names) * max(2, len(bars)), columns=1) as figure:
         axes = figure.subplots()
         entries: dict[str, Artist] = {}
         for number, (label, (alone, together)) in enumerate(bars.items()):
-            colour = line_style(number)["color"]
+            colour = style.line_style(number)["color"]
             middle = places + height * (number - 0.5 * (len(bars) - 1))
             known = np.isfinite(together[:, 0])
             total, low, high = together[known].T
             axes.barh(middle[known], total, height, color=colour, alpha=PALE_ALPHA, linewidth=0.0)
             first = np.nan_to_num(alone[:, 0])
             entries[label] = axes.barh(middle, first, 0.6 * height, color=colour, linewidth=0.0).patches[0]
-            axes.hlines(middle[known], low, high, color=DARK, linewidth=0.8)
+            axes.hlines(middle[known], low, high, color=style.DARK, linewidth=0.8)
             for place in middle[~known]:
                 axes.text(0.0, place, f" {TOO_FEW}", color=colour, va="center")
         axes.set_yticks(places, names)
@@ -298,6 +291,6 @@ def sensitivity_figure(
         axes.grid(visible=False, axis="y")
         axes.set_xlabel("share of the variance")
         axes.set_xlim(left=min(0.0, *(float(np.nan_to_num(one[:, 0]).min()) for one, _ in bars.values())))
-        letter(axes, 0)
-        legend_above(figure, entries, title)
+        style.letter(axes, 0)
+        style.legend_above(figure, entries, title)
     return figure
