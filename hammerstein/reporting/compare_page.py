@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Collection
 from pathlib import Path
 
-from hammerstein.comparison.inverting import HEADROOM, SETTLING
+from hammerstein.comparison.compare import HEADROOM, SETTLING
 from hammerstein.comparison.result import Compared, Comparison
 from hammerstein.escaping import Markdown, markdown, markdown_page
 from hammerstein.reporting.figures.identified import compared_figure

@@ -15,7 +15,7 @@ import theory
 
 import hammerstein
 from hammerstein.commands.cli import main
-from hammerstein.comparison.inverting import SETTLING
+from hammerstein.comparison.compare import SETTLING
 from hammerstein.comparison.result import Left
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.identify import from_last_rest
