@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +16,7 @@ import typer
 from hammerstein.commands.options import (
     AsJson,
     Overwrite,
+    option_of,
     refuse_output,
     told_by_options,
     with_help,
@@ -101,19 +102,17 @@ class Sent:
     """Range of the drive, and initial state of the actuator."""
 
     range_v: RangeWords = None
-    start: str | None = with_help("Voltage before the first sample; the path is zero there.", metavar="V[,V]")
+    start_v: str | None = with_help(
+        "Voltage before the first sample; the path is zero there.", metavar="V[,V]"
+    )
     conditioned: Conditioned = None
     accept_flagged: bool = with_help("Accept a model that its fit report flags.", default=False)
 
-    @property
-    def ends(self) -> tuple[float, ...] | None:
-        """Voltages of the range."""
-        return volts("--range", self.range_v)
-
-    @property
-    def begins(self) -> tuple[float, ...] | None:
-        """Voltages of the start."""
-        return volts("--start", self.start)
+    def parsed(self) -> dict[str, Any]:
+        """The same by name, with numbers in place of words."""
+        return vars(self) | {
+            name: volts(option_of(name), getattr(self, name)) for name in ("range_v", "start_v")
+        }
 
 
 @dataclass(frozen=True)
@@ -121,8 +120,8 @@ class Reached:
     """Options for a path that is out of reach."""
 
     lead_in: bool = with_help("First move from the initial position to the start of the path.", default=False)
-    offset: str | None = with_help("Shift of the path in um.", metavar="UM[,UM]")
-    approach_side: str | None = with_help(
+    offset_um: str | None = with_help("Shift of the path in um.", metavar="UM[,UM]")
+    approach_um: str | None = with_help(
         "Reach every hold from one side, against backlash: -5 from 5 um below, 5 from above.",
         metavar="UM[,UM]",
     )
@@ -130,26 +129,16 @@ class Reached:
     clip: bool = with_help("Accept a path that is partly out of reach.", default=False)
     beyond_records: bool = with_help("Accept voltages beyond the records.", default=False)
 
-    def terms(self, sent: Sent) -> Terms:
+    def terms(self, sent: Sent, step_v: float | None) -> Terms:
         """Limits of a drive."""
         from hammerstein.compensators.drive_file import Terms
 
-        return Terms(
-            sent.ends,
-            sent.begins,
-            sent.conditioned,
-            self.clip,
-            self.beyond_records,
-            sent.accept_flagged,
-            self.lead_in,
-            volts("--offset", self.offset),
-            volts("--approach-side", self.approach_side),
-            self.units,
-        )
+        moved = {name: volts(option_of(name), getattr(self, name)) for name in ("offset_um", "approach_um")}
+        return Terms(**sent.parsed(), **vars(self) | moved, step_v=step_v)
 
     def refuse_with_period(self) -> None:
         """Raise InputError for options that a period does not use, because it has a run-up."""
-        given = ["--lead-in"] * self.lead_in + ["--approach-side"] * (self.approach_side is not None)
+        given = ["--lead-in"] * self.lead_in + ["--approach-side"] * (self.approach_um is not None)
         if given:
             what = "leave it out with --cycle, --table or --learn, whose drives begin with a run-up"
             raise InputError(", ".join(given), what)
@@ -298,7 +287,7 @@ def compensate(
     run_up = out.with_name(f"{out.stem}.run_up.csv")
     if periodic:
         refuse_output(run_up, read, DRIVE, overwrite)
-    asked, terms = (model, reference, law, options), replace(reached.terms(sent), step_v=converter_step)
+    asked, terms = (model, reference, law, options), reached.terms(sent, converter_step)
     with told_by_options("compensate", words.own), watched() as onlooker:
         if periodic:
             reached.refuse_with_period()
@@ -424,10 +413,7 @@ def export(
             sample_time,
             fmi=fmi or 3,
             options=words.options(),
-            range_v=sent.ends,
-            start_v=sent.begins,
-            conditioned=sent.conditioned,
-            accept_flagged=sent.accept_flagged,
+            **sent.parsed(),
             float32=float32,
             form=form if fmi is None else "fmu",
         )

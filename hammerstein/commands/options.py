@@ -31,6 +31,8 @@ _OPTIONS = {
     "sample_time_s": "sample-time",
     "range_v": "range",
     "start_v": "start",
+    "offset_um": "offset",
+    "approach_um": "approach-side",
     "sensor_bandwidth_hz": "sensor-bandwidth",
     "sensor_delay_s": "sensor-delay",
     "thresholds_v": "thresholds",
@@ -79,13 +81,13 @@ def told_by_options(source: str, own: Collection[str] = ()) -> Iterator[None]:
         if error.source != source:
             raise
         named = [  # lists are for Python and scenarios alone
-            m._replace(where=_option_of(m.where, own), what=m.what.replace(" or a list", ""))
+            m._replace(where=option_of(m.where, own), what=m.what.replace(" or a list", ""))
             for m in error.mistakes
         ]
         raise InputError("options", named) from None
 
 
-def _option_of(where: str, own: Collection[str] = ()) -> str:
+def option_of(where: str, own: Collection[str] = ()) -> str:
     """Option that gave a setting; nothing where the mistake is of them together."""
     name = where.partition("[")[0]
     if name.partition(".")[0] in own:
@@ -144,7 +146,7 @@ def words_of(group: Any) -> list[str]:
         if isinstance(info, ArgumentInfo):
             words += plain
         elif value != option.default:
-            name = _option_of(option.name)
+            name = option_of(option.name)
             words += [name] if value is True else [word for one in plain for word in (name, one)]
     return words
 
@@ -155,7 +157,7 @@ def _option(name: str, field: FieldInfo) -> Parameter:
     unit = next((unit for ending, unit in METAVARS.items() if name.endswith(ending)), None)
     members = {getattr(one, "__origin__", one) for one in get_args(field.annotation) or (field.annotation,)}
     kind = next((one for one in (bool, int, float) if members <= {one, type(None)}), str)
-    info = typer.Option(_option_of(name), metavar=unit, help=f"{told[0].upper()}{told[1:]}.")
+    info = typer.Option(option_of(name), metavar=unit, help=f"{told[0].upper()}{told[1:]}.")
     wanted = kind | None if field.default is None else kind
     annotation = Annotated[wanted, info]  # type: ignore[valid-type]
     return Parameter(name, Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
@@ -178,7 +180,7 @@ def _options(taker: Callable[..., Any]) -> list[Parameter]:
         hint, default = hints[name], one.default
         if info := getattr(told[name], "metadata", {}).get("option"):
             hint, default = Annotated[hint, info], told[name].default
-            if default is False and not info.param_decls:
-                info.param_decls = (_option_of(name),)  # without a --no- beside it
+            if default is not True and not info.param_decls:
+                info.param_decls = (option_of(name),)  # what is on has a --no- beside it
         found.append(one.replace(kind=Parameter.KEYWORD_ONLY, annotation=hint, default=default))
     return found
