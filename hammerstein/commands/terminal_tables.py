@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hammerstein.experiment.report import Report, is_direct, largest
+from hammerstein.experiment.report import Report, largest
 from hammerstein.metrics import Row
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import by_key, duration, length, size
@@ -62,7 +62,7 @@ def result_table(report: Report) -> Table:
     title = "Worst error of each scenario: of the true position, and of the sensor's readings"
     table = _table(title, RUN)
     for label, own in by_key(report.rows, lambda row: row.compensator).items():
-        rows = [row for row in own if is_direct(report, row)] or own
+        rows = [row for row in own if report.is_direct(row)] or own
         table.add_row(report.name, label or "(drive in V)", *_figures(rows))
     return table
 

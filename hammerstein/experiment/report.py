@@ -46,6 +46,10 @@ class Band(Keyed):
     median_um: float
     p95_um: float
 
+    def words(self) -> str:
+        """Median, and ends in brackets."""
+        return f"{number(self.median_um)} ({number(self.p5_um)} to {number(self.p95_um)})"
+
 
 TOO_FEW = "too few draws"
 """Fewest draws for sensitivity indices."""
@@ -139,6 +143,40 @@ class Report(NotebookRepr):
     def reads_truth(self) -> bool:
         """Whether the sensor is ideal, so that its readings equal the true position."""
         return self.instruments.sensor == Instruments.ideal().sensor
+
+    @property
+    def is_path(self) -> bool:
+        """Whether all axes were driven together."""
+        return all(row.excited_axis == "all" for row in self.rows)
+
+    @property
+    def banded_metric(self) -> tuple[str, str]:
+        """Figure with a reported spread over random actuators, and its name."""
+        path = self.is_path and len(self.axes) > 1
+        return ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
+
+    def is_direct(self, row: Row) -> bool:
+        """Whether the axis of a row was driven itself."""
+        if row.excited_axis == "all":
+            return True
+        driven = self.inputs if self.scenario.drive is not None else self.axes
+        return driven.index(row.excited_axis) == self.axes.index(row.measured_axis)
+
+    @property
+    def identified_at(self) -> dict[str, float]:
+        """Frequency at which each compensator's or model's hysteresis was identified, if there is one."""
+        sources = (*self.scenario.compensators, *self.scenario.models)
+        found = {source.label: getattr(source.identification, "frequency_hz", None) for source in sources}
+        return {label: frequency for label, frequency in found.items() if frequency is not None}
+
+    @property
+    def operators(self) -> dict[str, int]:
+        """Number of play operators of each model, where the models differ in nothing else; else empty."""
+        sources = {model.label: model.identification for model in self.scenario.models}
+        numbers = {label: getattr(source, "operators", None) for label, source in sources.items()}
+        found = {label: number for label, number in numbers.items() if isinstance(number, int)}
+        others = {source.model_dump_json(exclude={"operators"}) for source in sources.values() if source}
+        return found if len(set(found.values())) == len(sources) > len(others) == 1 else {}
 
     def without_traces(self) -> Report:
         """Return the report without its traces."""
@@ -239,41 +277,6 @@ def labels_of(rows: Iterable[Row]) -> list[str]:
     return list(dict.fromkeys(row.compensator for row in rows))
 
 
-def is_path(report: Report) -> bool:
-    """Whether all axes were driven together."""
-    return all(row.excited_axis == "all" for row in report.rows)
-
-
-def banded_metric(report: Report) -> tuple[str, str]:
-    """Figure with a reported spread over random actuators, and its name."""
-    path = is_path(report) and len(report.axes) > 1
-    return ("euclidean_max_true_um", "worst distance") if path else ("rms_true_um", "rms error")
-
-
-def is_direct(report: Report, row: Row) -> bool:
-    """Whether the axis of a row was driven itself."""
-    if row.excited_axis == "all":
-        return True
-    driven = report.inputs if report.scenario.drive is not None else report.axes
-    return driven.index(row.excited_axis) == report.axes.index(row.measured_axis)
-
-
-def identified_at(report: Report) -> dict[str, float]:
-    """Frequency at which each compensator's or model's hysteresis was identified, if there is one."""
-    sources = (*report.scenario.compensators, *report.scenario.models)
-    found = {source.label: getattr(source.identification, "frequency_hz", None) for source in sources}
-    return {label: frequency for label, frequency in found.items() if frequency is not None}
-
-
-def operators_of(report: Report) -> dict[str, int]:
-    """Number of play operators of each model, where the models differ in nothing else; otherwise empty."""
-    sources = {model.label: model.identification for model in report.scenario.models}
-    numbers = {label: getattr(source, "operators", None) for label, source in sources.items()}
-    found = {label: number for label, number in numbers.items() if isinstance(number, int)}
-    others = {source.model_dump_json(exclude={"operators"}) for source in sources.values() if source}
-    return found if len(set(found.values())) == len(sources) > len(others) == 1 else {}
-
-
 def largest(rows: Iterable[Row], name: str) -> float | None:
     """Largest value of a figure; None if no row has it."""
     values = [value for row in rows if (value := getattr(row, name)) is not None]
@@ -296,8 +299,3 @@ def significant(value: float) -> str:
 def number(value: float | None) -> str:
     """Text with three significant digits; empty without a value."""
     return "" if value is None or math.isnan(value) else significant(value)
-
-
-def spread(band: Band) -> str:
-    """Text of a band: median, and ends in brackets."""
-    return f"{number(band.median_um)} ({number(band.p5_um)} to {number(band.p95_um)})"

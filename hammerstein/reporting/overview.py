@@ -5,19 +5,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from hammerstein.experiment.report import (
-    Condition,
-    Report,
-    is_direct,
-    labels_of,
-    number,
-    spread,
-    told_apart,
-)
+from hammerstein.experiment.report import Condition, Report, labels_of, number, told_apart
 from hammerstein.metrics import Row
 from hammerstein.quantities import by_key
 from hammerstein.reporting.page import rendered
 from hammerstein.reporting.run_page import place_of
+from hammerstein.reporting.summary import span
 from hammerstein.runtime.staging import Manifest, Owner, staged
 from hammerstein.scenario.assessment import Assessment
 
@@ -106,7 +99,7 @@ def _card(report: Report, out: Path) -> Card:
 
 def _loops(report: Report) -> list[tuple[str, str]]:
     """Ends of the height and of the width of the loops of each axis that is driven itself."""
-    own = [row for row in _within_range(report) if row.height_um and is_direct(report, row)]
+    own = [row for row in _within_range(report) if row.height_um and report.is_direct(row)]
     return [
         (axis, f"{_ends(rows, 'height_um')} um high, {_ends(rows, 'width_percent')} % wide")
         for axis, rows in by_key(own, lambda row: row.measured_axis).items()
@@ -122,16 +115,9 @@ def _ends(rows: Sequence[Row], name: str) -> str:
 def _conditions(report: Report) -> str:
     """Signal, amplitude and frequency, such as ``circle, 50 um, 50 to 200 Hz``."""
     conditions = [Condition.of(row) for row in _within_range(report)]
-    sizes = [c.amplitude for c in conditions if c.amplitude is not None]
-    parts = [report.signal, _span(sizes, conditions[0].unit if sizes else "")]
-    return ", ".join(part for part in [*parts, _span([c.frequency_hz for c in conditions], "Hz")] if part)
-
-
-def _span(values: Sequence[float], unit: str) -> str:
-    """Lowest and highest value; empty where there are none but zeros."""
-    known = sorted({value for value in values if value})
-    ends = dict.fromkeys([*known[:1], *known[-1:]])
-    return f"{' to '.join(f'{v:g}' for v in ends)} {unit}" if known else ""
+    sizes = span([(c.amplitude, c.unit) for c in conditions if c.amplitude])
+    frequencies = span([(c.frequency_hz, "Hz") for c in conditions if c.frequency_hz])
+    return ", ".join(filter(None, (report.signal, sizes, frequencies)))
 
 
 def _told(report: Report) -> str:
@@ -179,11 +165,11 @@ def _worst(report: Report) -> list[tuple[str, str]]:
     for label in labels_of(rows):
         own = [row for row in rows if row.compensator == label and row.trial == last]
         values = []
-        for row in [row for row in own if is_direct(report, row)] or own:
+        for row in [row for row in own if report.is_direct(row)] or own:
             metric = "euclidean_max_true_um" if row.euclidean_max_true_um else "max_true_um"
             band, value = bands.get((metric, *row.place)), getattr(row, metric)
             if band is not None:
-                values.append((band.p95_um, spread(band)))
+                values.append((band.p95_um, band.words()))
             elif value is not None:
                 values.append((value, number(value)))
         if values:

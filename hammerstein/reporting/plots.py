@@ -7,18 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from bokeh import models
 from bokeh.layouts import column, row
-from bokeh.models import (
-    CategoricalSlider,
-    ColumnDataSource,
-    CustomJS,
-    HoverTool,
-    Legend,
-    LegendItem,
-    LogTicker,
-    Renderer,
-    UIElement,
-)
 from bokeh.plotting import figure
 from matplotlib.colors import to_hex
 
@@ -39,12 +29,14 @@ HEIGHT = 320
 DASHES = ("dashed", "dotdash", "dotted", "dashdot")
 
 
-def plots_of(figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Figure]]) -> UIElement | None:
+def plots_of(
+    figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Figure]]
+) -> models.UIElement | None:
     """All figures below each other, one step at a time; None without figures."""
     every = [*figures.values(), *(figure for step in steps.values() for figure in step.values())]
     lines = sum(len(axes.lines) for figure in every for axes in figure.axes)
     most = max(FEWEST, MOST_VALUES // (2 * max(1, lines)))
-    curves: dict[str, list[Renderer]] = {}
+    curves: dict[str, list[models.Renderer]] = {}
     always = [_Plots(figure, most, curves) for figure in figures.values()]
     first = {name: _Plots(figure, most, curves) for name, figure in next(iter(steps.values()), {}).items()}
     parts = [part for plots in always for part in plots.parts()]
@@ -63,11 +55,11 @@ def plots_of(figures: Mapping[str, Figure], steps: Mapping[str, Mapping[str, Fig
 
 def _slider(
     names: Sequence[str],
-    sources: Mapping[tuple[Any, ...], ColumnDataSource],
+    sources: Mapping[tuple[Any, ...], models.ColumnDataSource],
     contents: Sequence[Mapping[tuple[Any, ...], Data]],
-) -> CategoricalSlider:
+) -> models.CategoricalSlider:
     """Slider that puts the curves of one step into the panels."""
-    slider = CategoricalSlider(
+    slider = models.CategoricalSlider(
         categories=list(names),
         value=names[0],
         title="Shown below",
@@ -80,7 +72,7 @@ def _slider(
         "sources.forEach((source, k) => { source.data = contents[k][step]; });"
     )
     shown = [[content.get(key, none) for content in contents] for key in sources]
-    swap = CustomJS(args={"sources": list(sources.values()), "contents": shown}, code=code)
+    swap = models.CustomJS(args={"sources": list(sources.values()), "contents": shown}, code=code)
     slider.js_on_change("value", swap)
     return slider
 
@@ -118,9 +110,9 @@ def _panel(axes: Axes, earlier: Sequence[tuple[Axes, figure]]) -> figure:
     plot.toolbar.logo = None
     plot.toolbar.autohide = True
     tooltips = [("", "$name"), (x, "@x{0.000}"), (y, "@y{0.0000}")]
-    plot.add_tools(HoverTool(tooltips=tooltips, line_policy="nearest"))
+    plot.add_tools(models.HoverTool(tooltips=tooltips, line_policy="nearest"))
     if scales["x"] == "log":
-        plot.xaxis.ticker = LogTicker(mantissas=[1, 2, 5], num_minor_ticks=0)
+        plot.xaxis.ticker = models.LogTicker(mantissas=[1, 2, 5], num_minor_ticks=0)
     return plot
 
 
@@ -130,11 +122,11 @@ class _Plots:
     sources : points of each line of each panel, by their numbers
     """
 
-    def __init__(self, drawn: Figure, most: int, curves: dict[str, list[Renderer]]):
+    def __init__(self, drawn: Figure, most: int, curves: dict[str, list[models.Renderer]]):
         self._styles: dict[str, dict[str, Any]] = {}  # of each label, the same in every panel
         self._curves = curves  # of each label, in all figures
         self._title = _words(drawn.legends[0].get_title().get_text())
-        self.sources = {key: ColumnDataSource(dict(data)) for key, data in _curves(drawn, most)}
+        self.sources = {key: models.ColumnDataSource(dict(data)) for key, data in _curves(drawn, most)}
         plots: list[tuple[Axes, figure]] = []
         for number, axes in enumerate(drawn.axes):
             plots.append((axes, _panel(axes, plots)))
@@ -196,9 +188,9 @@ class _Plots:
         for label, style in self._styles.items():
             key = plot.line([-2.0, -1.0], [0.0, 0.0], **style)
             code = "for (const curve of curves) curve.visible = this.visible"
-            key.js_on_change("visible", CustomJS(args={"curves": self._curves[label]}, code=code))
-            items.append(LegendItem(label={"value": _words(label)}, renderers=[key]))
-        legend = Legend(
+            key.js_on_change("visible", models.CustomJS(args={"curves": self._curves[label]}, code=code))
+            items.append(models.LegendItem(label={"value": _words(label)}, renderers=[key]))
+        legend = models.Legend(
             items=items,
             title=self._title,
             click_policy="hide",

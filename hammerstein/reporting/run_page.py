@@ -8,14 +8,14 @@ from pathlib import PurePath
 from typing import Any
 
 from hammerstein.escaping import Markdown, code, markdown, markdown_page
-from hammerstein.experiment.report import Report, Trace, identified_at
+from hammerstein.experiment.report import Report, Trace
 from hammerstein.metrics import METRICS
 from hammerstein.model import HammersteinModel
 from hammerstein.quantities import number_of, percent
 from hammerstein.reporting.figures.choice import MOST_OVERLAYS
 from hammerstein.reporting.figures.path import is_sparse
 from hammerstein.reporting.page import Judged, NumberFile, Page, Shown, figures_section, paragraphs
-from hammerstein.reporting.summary import sentences
+from hammerstein.reporting.summary import sentences, span
 from hammerstein.reporting.tables import number_tables
 from hammerstein.scenario.source import ModelSource
 
@@ -161,9 +161,8 @@ def _facts(report: Report) -> Iterator[str]:
     for number, what in ((len(scenario.compensators), "compensator"), (len(scenario.models), "model")):
         if number:
             yield number_of(number, what)
-    found = sorted({row.frequency_hz for row in report.rows if row.frequency_hz})
-    if found:
-        yield f"{found[0]:g} Hz" if len(found) == 1 else f"{found[0]:g} to {found[-1]:g} Hz"
+    if found := span([(row.frequency_hz, "Hz") for row in report.rows if row.frequency_hz]):
+        yield found
     yield f"{report.signal} {'in V' if scenario.drive is not None else 'in um'}"
 
 
@@ -223,7 +222,7 @@ def figure_of(name: str, report: Report) -> Shown:
     kind, stem = _kind(name), PurePath(name).stem
     compared, models = report.scenario.reference is not None, report.scenario.models
     banded = ["Median and 5 to 95 % of the random actuators, beside the nominal one."] * bool(report.bands)
-    identified = ["A star marks the frequency at which a model was identified."] * bool(identified_at(report))
+    identified = ["A star marks the frequency at which a model was identified."] * bool(report.identified_at)
     remarks = {
         "loops": ["The wide grey line is the ideal response.", _lag(report)] * compared
         + ["Dark dashes show the models."] * bool(models and len(models) <= MOST_OVERLAYS),

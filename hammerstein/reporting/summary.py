@@ -9,19 +9,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import NamedTuple
 
-from hammerstein.experiment.report import (
-    Condition,
-    Report,
-    banded_metric,
-    differing,
-    is_direct,
-    is_path,
-    labels_of,
-    largest,
-    number,
-    operators_of,
-    told_apart,
-)
+from hammerstein.experiment.report import Condition, Report, differing, labels_of, largest, number, told_apart
 from hammerstein.metrics import METRICS, Row
 from hammerstein.quantities import by_key, number_of, percent
 from hammerstein.signals import OneFrequency
@@ -69,7 +57,7 @@ def _yes_or_no(report: Report) -> str:
     """Yes or no, where the scenario gives the limits that decide; the first compensator or model is asked."""
     label, parts = next(iter(labels_of(report.rows)), ""), []
     for name, limit in report.scenario.yes_if.items():
-        rows = (row for row in report.rows if row.compensator == label and is_direct(report, row))
+        rows = (row for row in report.rows if row.compensator == label and report.is_direct(row))
         value = largest(rows, name)
         if value is not None:
             words, _, unit = METRICS[name].meaning.partition(" [")
@@ -81,9 +69,9 @@ def _yes_or_no(report: Report) -> str:
 
 def _enough_operators(report: Report, contest: Contest) -> str:
     """Number of operators with the smallest error, where the models differ in it."""
-    numbers = operators_of(report)
+    numbers = report.operators
     name = "rms_um" if report.reading_first else "rms_true_um"
-    found = _values((row for row in report.rows if is_direct(report, row)), name) if numbers else {}
+    found = _values((row for row in report.rows if report.is_direct(row)), name) if numbers else {}
     if not found:
         return ""
     best = next(iter(contest.admitted(found)))
@@ -130,11 +118,11 @@ def _answered(report: Report, quote: Quote) -> Sentence | None:
         return None
     found: dict[str, float] = {}
     for row in report.rows:
-        if is_direct(report, row) and (value := getattr(row, name)) is not None:
+        if report.is_direct(row) and (value := getattr(row, name)) is not None:
             found[row.compensator] = max(value, found.get(row.compensator, value), key=abs)
     ordered = sorted(found.items(), key=lambda item: abs(item[1]))
     told = ", ".join(f"{quote(label)} {number(value)}" for label, value in ordered)
-    several = len({(Condition.of(row), row.measured_axis) for row in report.rows if is_direct(report, row)})
+    several = len({(Condition.of(row), row.measured_axis) for row in report.rows if report.is_direct(row)})
     worst = f", at the worst of {several} frequencies, amplitudes and axes" if several > 1 else ""
     return Sentence(f"The {METRICS[name].meaning}{worst}: {told}.") if found else None
 
@@ -143,8 +131,8 @@ def _uncertain(report: Report, contest: Contest) -> Sentence | None:
     """Median and 95th percentile over the random actuators, and the nominal one: the worst of each."""
     if not report.bands or report.scenario.uncertainty is None:
         return None
-    metric, words = banded_metric(report)
-    nominal = {row.place: getattr(row, metric) for row in report.rows if is_direct(report, row)}
+    metric, words = report.banded_metric
+    nominal = {row.place: getattr(row, metric) for row in report.rows if report.is_direct(row)}
     bands = [band for band in report.bands if band.metric == metric and band.place in nominal]
     rows, medians = [], dict[str, float]()
     for (trial, label), own in by_key(bands, lambda band: (band.trial, band.compensator)).items():
@@ -165,7 +153,7 @@ def _uncertain(report: Report, contest: Contest) -> Sentence | None:
 def _compared(report: Report, contest: Contest) -> Sentence:
     """The error of the true position, or of the reading if the scenario's assessment is about it."""
     target = "reference" if report.scenario.reference is not None else "prediction"
-    if is_path(report):
+    if report.is_path:
         prefix, words = ("euclidean_", "distance") if len(report.axes) > 1 else ("", "error")
         name, of = ("max_um", "reading") if report.reading_first else ("max_true_um", "true position")
         name, words = f"{prefix}{name}", f"worst {words} of the {of} from the {target}"
@@ -174,8 +162,8 @@ def _compared(report: Report, contest: Contest) -> Sentence:
         name, of = ("rms_um", "reading") if report.reading_first else ("rms_true_um", "true position")
         words = f"rms error of the {'predicted ' * (target == 'prediction')}{of}"
         words += _common_size(report) + ", worst axis" * (len(report.axes) > 1)
-        direct = [row for row in report.rows if is_direct(report, row)]
-        groups = [direct, [row for row in report.rows if not is_direct(report, row)]]
+        direct = [row for row in report.rows if report.is_direct(row)]
+        groups = [direct, [row for row in report.rows if not report.is_direct(row)]]
     kinds = [
         {c: _values(rows, name) for c, rows in by_key(group, Condition.of).items()}
         for group in groups
@@ -299,10 +287,10 @@ def _loops(report: Report) -> Sentence:
     ends = list(dict.fromkeys([next(iter(inside)), next(reversed(inside))]))
     lines: dict[str, list[str]] = {}
     for condition in ends:
-        for row in (row for row in inside[condition] if is_direct(report, row)):
+        for row in (row for row in inside[condition] if report.is_direct(row)):
             lines.setdefault(f"{row.measured_axis}, height [um]", []).append(number(row.height_um))
             lines.setdefault(f"{row.measured_axis}, width [%]", []).append(number(row.width_percent))
-        cross = largest((row for row in inside[condition] if not is_direct(report, row)), "height_um")
+        cross = largest((row for row in inside[condition] if not report.is_direct(row)), "height_um")
         if cross is not None:
             lines.setdefault("largest cross-coupling, height [um]", []).append(number(cross))
     head = ("loop", *(condition.words() for condition in ends))
@@ -317,22 +305,22 @@ def _grouped(report: Report, runs: Sequence[str]) -> str:
         label, _, place = run.partition(": ")[0].rpartition(" at ")
         at = re.match(r"([\d.e+-]+) (Hz|um|V)", place)
         found.setdefault(label or place, []).extend([(float(at[1]), at[2])] if at else [])
-    places = {label: _span(own) for label, own in found.items()}
+    places = {label: span(own) for label, own in found.items()}
     if len(found) < MOST_LABELS and len(set(places.values())) > 1:
         counts = {label: number_of(len(own), "run") for label, own in found.items()}
         return "; ".join(f"{n} ({counts[n]}{f', {at}' * bool(at)})" for n, at in places.items())
     more = [f"{len(found) - MOST_LABELS} more"] * (len(found) > MOST_LABELS)
-    span = _span([at for own in found.values() for at in own])
-    whole = _span([(row.frequency_hz, "Hz") for row in report.rows])
-    return "; ".join([*list(found)[:MOST_LABELS], *more]) + f" ({span})" * (span not in ("", whole))
+    here = span([at for own in found.values() for at in own])
+    whole = span([(row.frequency_hz, "Hz") for row in report.rows])
+    return "; ".join([*list(found)[:MOST_LABELS], *more]) + f" ({here})" * (here not in ("", whole))
 
 
-def _span(places: Sequence[tuple[float, str]]) -> str:
+def span(places: Sequence[tuple[float, str]]) -> str:
     """Lowest and highest frequency or size."""
-    ends = (
-        " to ".join(f"{value:g}" for value, _ in dict.fromkeys([min(places), max(places)])) if places else ""
-    )
-    return f"{ends} {places[0][1]}" if places else ""
+    if not places:
+        return ""
+    ends = dict.fromkeys([min(places), max(places)])
+    return f"{' to '.join(f'{value:g}' for value, _ in ends)} {places[0][1]}"
 
 
 def doubts(report: Report) -> list[str]:

@@ -6,19 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from hammerstein.escaping import Markdown
-from hammerstein.experiment.report import (
-    PARTS,
-    TOO_FEW,
-    Condition,
-    Report,
-    Sensitivity,
-    banded_metric,
-    differing,
-    identified_at,
-    is_path,
-    number,
-    spread,
-)
+from hammerstein.experiment.report import PARTS, TOO_FEW, Condition, Report, Sensitivity, differing, number
 from hammerstein.metrics import Row
 from hammerstein.quantities import by_key
 
@@ -54,7 +42,7 @@ def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
     kept, remark = _kept_rows(report, frequencies)
     if any(row.rms_um is not None for row in kept):
         target = "reference" if report.scenario.reference is not None else "prediction"
-        errors = _path_errors if is_path(report) else _transfer_errors
+        errors = _path_errors if report.is_path else _transfer_errors
         seen = "position" if report.reads_truth else "sensor's reading"
         both = [(f"Error of the {seen} against the {target}", "")]
         true = (f"Error of the true position against the {target}", "_true")
@@ -79,7 +67,7 @@ def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
     frequencies = sorted({row.frequency_hz for row in report.rows})
     if len(frequencies) <= most:
         return list(report.rows), ""
-    kept = selected_frequencies(frequencies, identified_at(report).values(), most)
+    kept = selected_frequencies(frequencies, report.identified_at.values(), most)
     rows = [row for row in report.rows if row.frequency_hz in kept]
     remark = Markdown("This table shows {} of {} frequencies; `rms.csv` has all.")
     return rows, remark.format(len(kept), len(frequencies))
@@ -172,8 +160,8 @@ def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 
 def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     """Median and 5-95 % over the random actuators, of the true position."""
-    path = is_path(report) and len(report.axes) > 1
-    metric, words = banded_metric(report)
+    path = report.is_path and len(report.axes) > 1
+    metric, words = report.banded_metric
     bands = {b.place: b for b in report.bands if b.metric == metric}
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     transfers = transfers[:1] if path else transfers
@@ -182,7 +170,7 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     def cells(line: Sequence[Row]) -> Iterator[str]:
         found = {(row.excited_axis, row.measured_axis): bands.get(row.place) for row in line}
         own = (found.get(transfer) for transfer in transfers)
-        yield from ("" if band is None else spread(band) for band in own)
+        yield from ("" if band is None else band.words() for band in own)
 
     draws = 0 if report.scenario.uncertainty is None else report.scenario.uncertainty.draws
     title = (
@@ -195,7 +183,7 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
 
 def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
     """Total index of every parameter, of the same figure as the bands."""
-    metric, words = banded_metric(report)
+    metric, words = report.banded_metric
     own = [found for found in report.sensitivities if found.metric == metric]
     parameters = list(dict.fromkeys(found.parameter for found in own))
     known = {(*found.place, found.parameter): found for found in own}

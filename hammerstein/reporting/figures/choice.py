@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.experiment.report import (
-    Condition,
-    Report,
-    Trace,
-    banded_metric,
-    identified_at,
-    operators_of,
-    told_apart,
-)
+from hammerstein.experiment.report import Condition, Report, Trace, told_apart
 from hammerstein.metrics import Row, settled_cycle
 from hammerstein.quantities import by_key
 from hammerstein.reporting.figures.loops import ErrorRun, LoopRun, errors_figure, loops_figure
@@ -134,7 +126,7 @@ def explored_figures(report: Report) -> tuple[dict[str, Figure], dict[str, dict[
 
 def _sensitivity(report: Report) -> dict[str, Figure]:
     """What the spread of each compensator is due to, in the row where it is worst."""
-    metric, words = banded_metric(report)
+    metric, words = report.banded_metric
     own = [found for found in report.sensitivities if found.metric == metric]
     known_bands = [band for band in report.bands if band.metric == metric]
     bars, names = dict[str, tuple[Array, Array]](), list[str]()
@@ -253,7 +245,7 @@ def sweep_curves(report: Report, merit: str, over: Over) -> list[SweepCurve]:
         words = [row.compensator, others]
         rows_of.setdefault(", ".join(word for word in words if word) or "reading", []).append(row)
     bands = {band.place: band for band in report.bands if band.metric == merit}
-    identified = identified_at(report) if over is FREQUENCY else {}
+    identified = report.identified_at if over is FREQUENCY else {}
     curves = []
     for label, rows in rows_of.items():
         places = sorted({over.of(row) for row in rows})
@@ -288,7 +280,7 @@ def _grid(report: Report, points: int, found: Iterable[tuple[Row, int, float | N
 
 def _operators(report: Report) -> dict[str, Figure]:
     """Error against the number of operators, if the models differ in it."""
-    models = operators_of(report)
+    models = report.operators
     numbers = sorted(models.values())
     if len(numbers) <= MOST_LOOPS:
         return {}
