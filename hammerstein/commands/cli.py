@@ -9,14 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hammerstein.commands import (
-    driving,
-    records as record_commands,
-    scenarios,
-    start,
-    study as study_commands,
-    terminal,
-)
+from hammerstein.commands import driving, records as record_commands, scenarios, start, terminal
 from hammerstein.commands.options import AsJson, grouped
 from hammerstein.commands.terminal import complain, show, tell, tell_json
 from hammerstein.errors import SimulationError
@@ -113,7 +106,7 @@ def built(words: Collection[str] | None = None) -> typer.Typer:
         (driving.degauss, "degauss stage.json --out degauss.csv"),
         (driving.export, "export stage.json --law exact_inverse --out c_code"),
         (scenarios.run, "run circle.toml"),
-        (study_commands.sweep, "sweep circle.toml --out rows.csv"),
+        (scenarios.sweep, "sweep circle.toml --out rows.csv"),
         (scenarios.check, "check . --html check.html"),
         (scenarios.plot, "plot circle.toml"),
         (actuators, "actuators"),

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hammerstein.commands.jobs import PROCESSORS
 from hammerstein.commands.options import (
     AsJson,
     Overwrite,
@@ -24,6 +23,7 @@ from hammerstein.commands.options import (
 from hammerstein.commands.terminal import Spinner, complain, show, tell, tell_json, tell_kept, tell_statements
 from hammerstein.errors import InputError
 from hammerstein.escaping import one_line
+from hammerstein.runtime.resources import processors
 
 if TYPE_CHECKING:
     from hammerstein.identification.fit import Fit
@@ -40,11 +40,6 @@ MOST_NAMED = 3
 """Most records in the name of a folder."""
 MOST_LOOPS = 8
 """Most loops of each pair and record in the table."""
-
-
-AcceptOrder = Annotated[
-    bool, typer.Option("--accept-order", help="Accept the columns although an output leads.")
-]
 
 
 @dataclass(frozen=True)
@@ -242,7 +237,7 @@ def loops(
     recorded: RecordFiles,
     out: Path = with_help("File or folder for the figure.", default=Path("reports"), metavar="DIR"),
     figures: bool = with_help("Draw the figure.", default=True),
-    accept_order: AcceptOrder = False,
+    accept_order: bool = with_help("Accept the columns although an output leads.", default=False),
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -379,7 +374,7 @@ def compare(
     in_loop: InLoop,
     out: Path = with_help("Folder for the comparison.", default=Path("compare"), metavar="DIR"),
     jobs: int = with_help(
-        "Parallel identifications.", default=PROCESSORS, min=1, show_default="the processors"
+        "Parallel identifications.", default=processors(), min=1, show_default="the processors"
     ),
     figures: bool = with_help("Draw the figure.", default=True),
     overwrite: Overwrite = False,

@@ -323,7 +323,7 @@ def test_a_table_that_cannot_be_written_is_named(tmp_path, capsys, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     (tmp_path / "s.toml").write_text(TEXT)
-    monkeypatch.setattr("hammerstein.commands.study._Csv.add", full)
+    monkeypatch.setattr("hammerstein.commands.scenarios._Csv.add", full)
     assert called("sweep", tmp_path / "s.toml", "--out", tmp_path / "o.csv") == 2
     assert f"{tmp_path / 'o.csv'}: cannot be written (no space left on device)" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]

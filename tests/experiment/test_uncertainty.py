@@ -3,7 +3,7 @@ import pytest
 
 import hammerstein
 from hammerstein.blocks.instruments import Instruments
-from hammerstein.commands.jobs import WORTH_PROCESSES_S, process_pool
+from hammerstein.commands.scenarios import WORTH_PROCESSES_S, process_pool
 from hammerstein.errors import InputError
 from hammerstein.experiment.draws import Figures, _bands, drawn_metrics
 from hammerstein.experiment.report import number
