@@ -32,14 +32,14 @@ def number_tables(report: Report) -> list[NumberTable]:
     between.
     """
     for frequencies in SHOWN_FREQUENCIES:
-        found = list(_tables(report, frequencies))
+        rows, remark = _kept_rows(report, frequencies)
+        found = [table._replace(remark=remark) for table in _tables(report, rows)]
         if sum(len(table.lines) for table in found) <= MOST_LINES:
             break
     return found
 
 
-def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
-    kept, remark = _kept_rows(report, frequencies)
+def _tables(report: Report, kept: Sequence[Row]) -> Iterator[NumberTable]:
     if any(row.rms_um is not None for row in kept):
         target = "reference" if report.scenario.reference is not None else "prediction"
         errors = _path_errors if report.is_path else _transfer_errors
@@ -49,17 +49,17 @@ def _tables(report: Report, frequencies: int) -> Iterator[NumberTable]:
         if not report.reads_truth:
             both.insert(int(report.reading_first), true)
         for title, which in both:
-            yield errors(report, kept, title, which, remark)
+            yield errors(report, kept, title, which)
     loops = [row for row in kept if row.height_um is not None]
     if report.scenario.reference is None:  # several models that are compared with one run share its loop
         shared = {(row.excited_axis, row.measured_axis, Condition.of(row)): row for row in loops}
         loops = [replace(row, compensator="") for row in shared.values()]
     if 0 < len(loops) <= MOST_LOOPS:
-        yield _loops(report, loops, remark)
+        yield _loops(report, loops)
     if report.bands:
-        yield _bands(report, [row for row in kept if row.compensator], remark)
+        yield _bands(report, [row for row in kept if row.compensator])
     if report.sensitivities:
-        yield _sensitivities(report, [row for row in kept if row.compensator], remark)
+        yield _sensitivities(report, [row for row in kept if row.compensator])
 
 
 def _kept_rows(report: Report, most: int) -> tuple[list[Row], str]:
@@ -97,7 +97,6 @@ def _table(
     title: str,
     heads: Iterable[str],
     cells: Callable[[Sequence[Row]], Iterable[str]],
-    remark: str,
 ) -> NumberTable:
     """A line for each of these groups of rows: what tells it from the others, then its cells."""
     source = "compensator" if report.scenario.reference is not None else "model"
@@ -109,10 +108,10 @@ def _table(
         values = [label if key == "label" else getattr(condition, key) for key in keys]
         told = (f"{v:.6g}" if isinstance(v, float | int) else v or "" for v in values)
         found.append((*told, *cells(line)))
-    return NumberTable(title, (*(words[key] for key in keys), *heads), tuple(found), remark)
+    return NumberTable(title, (*(words[key] for key in keys), *heads), tuple(found))
 
 
-def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
+def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str) -> NumberTable:
     """Each axis as rms / worst; distance and radius of all axes; what the assessment asks for."""
     several = len(report.axes) > 1
     shared = {
@@ -127,10 +126,10 @@ def _path_errors(report: Report, rows: Sequence[Row], title: str, which: str, re
         yield from (_rms_and_worst(row, which) for row in line)
         yield from (number(getattr(line[0], name)) for name in present)
 
-    return _table(report, rows, _lines(rows), f"{title}{_place(rows)} [um]", heads, cells, remark)
+    return _table(report, rows, _lines(rows), f"{title}{_place(rows)} [um]", heads, cells)
 
 
-def _transfer_errors(report: Report, rows: Sequence[Row], title: str, which: str, remark: str) -> NumberTable:
+def _transfer_errors(report: Report, rows: Sequence[Row], title: str, which: str) -> NumberTable:
     """One column a transfer, as rms / worst."""
     transfers = list(dict.fromkeys((row.excited_axis, row.measured_axis) for row in rows))
     heads = (_transfer(report, *transfer) for transfer in transfers)
@@ -140,10 +139,10 @@ def _transfer_errors(report: Report, rows: Sequence[Row], title: str, which: str
         yield from (found.get(transfer, "") for transfer in transfers)
 
     title = f"{title}{_place(rows)}, rms / worst [um]"
-    return _table(report, rows, _lines(rows), title, heads, cells, remark)
+    return _table(report, rows, _lines(rows), title, heads, cells)
 
 
-def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
+def _loops(report: Report, rows: Sequence[Row]) -> NumberTable:
     """A line for each transfer: how high and wide its loop is, gain and phase of its first harmonic."""
     unit = "um/V" if report.scenario.drive is not None else "um/um"
     heads = ("transfer", "height [um]", "width [um]", "width [%]", f"gain [{unit}]", "phase [deg]")
@@ -155,10 +154,10 @@ def _loops(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
         yield "" if row.phase_deg is None else f"{row.phase_deg:z.1f}"
 
     title = f"Loops of the sensor's reading{_place(rows)}"
-    return _table(report, rows, ([row] for row in rows), title, heads, cells, remark)
+    return _table(report, rows, ([row] for row in rows), title, heads, cells)
 
 
-def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
+def _bands(report: Report, rows: Sequence[Row]) -> NumberTable:
     """Median and 5-95 % over the random actuators, of the true position."""
     path = report.is_path and len(report.axes) > 1
     metric, words = report.banded_metric
@@ -178,10 +177,10 @@ def _bands(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
         f"{draws} draws, which contain at least {100.0 * share_held(draws):.0f} % of such actuators with "
         "95 % confidence) [um]"
     )
-    return _table(report, rows, _lines(rows), title, heads, cells, remark)
+    return _table(report, rows, _lines(rows), title, heads, cells)
 
 
-def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTable:
+def _sensitivities(report: Report, rows: Sequence[Row]) -> NumberTable:
     """Total index of every parameter, of the same figure as the bands."""
     metric, words = report.banded_metric
     own = [found for found in report.sensitivities if found.metric == metric]
@@ -199,7 +198,7 @@ def _sensitivities(report: Report, rows: Sequence[Row], remark: str) -> NumberTa
         f"each parameter with its interactions (95 % limits); {TOO_FEW}: the parameter alone has more"
     )
     lines = ([row] for row in rows if row.place in places)
-    return _table(report, rows, lines, title, ("transfer", *parameters), cells, remark)
+    return _table(report, rows, lines, title, ("transfer", *parameters), cells)
 
 
 def _index(found: Sensitivity | None) -> str:
