@@ -400,8 +400,8 @@ def sweep(
     """
     from hammerstein.experiment.study import sampled, study_of
     from hammerstein.runtime import store as kept_results
-    from hammerstein.runtime.staging import SWEEP
     from hammerstein.runtime.parallel_tasks import workers_of
+    from hammerstein.runtime.staging import SWEEP
 
     if not dry_run:
         if out is None:

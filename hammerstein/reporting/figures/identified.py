@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import hammerstein.reporting.figures.style as style
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
@@ -21,7 +22,6 @@ from hammerstein.identification.linear.frequency_response import FrequencyRespon
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.loops import widest_cycle
 from hammerstein.records.record import Record
-from hammerstein.reporting.figures import style
 from hammerstein.reporting.figures.loops import LoopRun, figure_of_columns
 
 if TYPE_CHECKING:

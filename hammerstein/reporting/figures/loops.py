@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+import hammerstein.reporting.figures.style as style
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import significant
 from hammerstein.records.loops import Loop, move_at_once, telling_loops, widest_cycle
 from hammerstein.records.record import Record, driven_inputs
-from hammerstein.reporting.figures import style
 from hammerstein.runtime.staging import Owner
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+import hammerstein.reporting.figures.style as style
 from hammerstein.arrays import Array
 from hammerstein.quantities import by_key
 from hammerstein.regression.compare import Numbers, all_tolerances, deviation, limit, tolerance_of
-from hammerstein.reporting.figures import style
 from hammerstein.reporting.figures.sweep import log_where_wide
 from hammerstein.scenario.scenario import Tolerance
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+import hammerstein.reporting.figures.style as style
 from hammerstein.arrays import Array
 from hammerstein.experiment.report import TOO_FEW
-from hammerstein.reporting.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
