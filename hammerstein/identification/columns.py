@@ -14,12 +14,12 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.excitation import fastest_rad_per_s, rates_of_input
 from hammerstein.identification.linear.axis_task import duration_s
-from hammerstein.identification.model_selection import moments_of_output
-from hammerstein.identification.operators import CURVE_SAMPLES, input_grids
+from hammerstein.identification.model_selection import CURVE_SAMPLES, moments_of_output
 from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.projection import ROUGHLY, BlockFit, fit_block
 from hammerstein.identification.score import ranges
+from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, left_out, ridge_penalty
 from hammerstein.identification.static.static_block import SlopeColumns, Thresholds, swing_ends

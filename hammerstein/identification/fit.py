@@ -7,8 +7,7 @@ from typing import Any, Literal
 
 from hammerstein.blocks.voltages import Voltages
 from hammerstein.identification.linear.axis_fit import AxisFit
-from hammerstein.identification.model_selection import Trial
-from hammerstein.identification.operators import CurvePoint
+from hammerstein.identification.model_selection import CurvePoint, Trial
 from hammerstein.identification.score import Candidate, Score
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model.covariance import ParameterCovariance

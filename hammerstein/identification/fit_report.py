@@ -15,8 +15,7 @@ from hammerstein.hysteresis.asymmetric import PLAYS_ALONE
 from hammerstein.identification.excitation import excitation_statements
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
 from hammerstein.identification.linear.axis_fit import SURE_CREEP, UNSURE_LAG_PERCENT, AxisFit
-from hammerstein.identification.model_selection import IMPROVED, NO_BETTER, Trial, lowers
-from hammerstein.identification.operators import CurvePoint
+from hammerstein.identification.model_selection import IMPROVED, NO_BETTER, CurvePoint, Trial, lowers
 from hammerstein.identification.options import PLAYS
 from hammerstein.identification.residual_analysis import (
     faults_left,

@@ -6,20 +6,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hammerstein.dynamics import StaticDynamics
-from hammerstein.identification.linear.axis_search import ROUGHLY, refine, thinning
+from hammerstein.identification.linear.axis_fit import ROUGHLY, refine, thinning
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, parameters_of
-from hammerstein.identification.operators import (
+from hammerstein.identification.model_selection import (
     CURVE_SAMPLES,
     CurvePoint,
     enough_operators,
     error_curve,
-    input_grids,
 )
 from hammerstein.identification.output_dynamics import OutputDynamics, with_step
 from hammerstein.identification.play_candidates import guess_of, late_static
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.search import TINY
 from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.initial_state import (
     ENDS,
     TURN_WORTH,

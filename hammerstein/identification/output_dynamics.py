@@ -15,12 +15,13 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.hysteresis import Hysteresis
-from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
-from hammerstein.identification.linear.axis_search import (
+from hammerstein.identification.linear.axis_fit import (
     CREEP_SPANS,
     LAG_SAMPLES,
     PEAK_DAMPING,
+    AxisFit,
     arrived,
+    fit_axis,
     fit_slopes,
     refine,
     refined_late,

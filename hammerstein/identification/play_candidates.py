@@ -14,11 +14,9 @@ from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.columns import driven_of
 from hammerstein.identification.fit import Kind
-from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
-from hammerstein.identification.linear.axis_search import thinning
+from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis, thinning
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, parameters_of
-from hammerstein.identification.model_selection import FELT, lowers
-from hammerstein.identification.operators import CURVE_SAMPLES, input_grids
+from hammerstein.identification.model_selection import CURVE_SAMPLES, FELT, lowers
 from hammerstein.identification.output_dynamics import (
     OutputDynamics,
     search_output_dynamics,
@@ -29,7 +27,7 @@ from hammerstein.identification.projection import fit_block
 from hammerstein.identification.score import SensorModel, invertibility_of
 from hammerstein.identification.search import TINY, best_delay
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.closed_form import closed_form_model
+from hammerstein.identification.static.closed_form import closed_form_model, input_grids
 from hammerstein.identification.static.initial_state import closed, most_dynamic_segment, shortened
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import (

@@ -28,7 +28,7 @@ from hammerstein.hysteresis import Hysteresis, WeightCovariance
 from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slopes
 from hammerstein.hysteresis.kind import slopes_of
 from hammerstein.hysteresis.pair import triangle
-from hammerstein.identification.linear.axis_search import thinning
+from hammerstein.identification.linear.axis_fit import thinning
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, ByColumn, axis_of, parameters_of
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import bends_of, columns_of

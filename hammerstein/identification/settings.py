@@ -10,7 +10,6 @@ from pydantic import model_validator
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, Mistake, refuse
-from hammerstein.identification.operators import input_grids
 from hammerstein.identification.options import (
     PLAYS,
     CascadeOptions,
@@ -19,6 +18,7 @@ from hammerstein.identification.options import (
     Partition,
 )
 from hammerstein.identification.score import SensorModel
+from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.records.record import Record
 
 

@@ -290,7 +290,7 @@ def test_micromanipulator(delay, fitted, held_back, plays):
 
     They hold for the number of plays that is found and for others: nothing hangs on one.
     """
-    from hammerstein.identification.operators import input_grids
+    from hammerstein.identification.static.closed_form import input_grids
     from hammerstein.identification.static.regressors import delayed
 
     def read(name):

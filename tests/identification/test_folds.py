@@ -7,8 +7,13 @@ import theory
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.identification.model_selection import fold_squares, parameters_of, trial_of
-from hammerstein.identification.operators import enough_operators, error_curve
+from hammerstein.identification.model_selection import (
+    enough_operators,
+    error_curve,
+    fold_squares,
+    parameters_of,
+    trial_of,
+)
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.static.normal_equations import FOLDS, left_out, moments_of_folds
 from hammerstein.identification.static.regressors import InitialState

@@ -15,9 +15,14 @@ from hammerstein.errors import IdentificationError, InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.fit_report import UNTOLD, verdict
 from hammerstein.identification.identify import identify
-from hammerstein.identification.linear.coupled import ModalCopies, behind_gain, fit_linear, fit_static_coupled
 from hammerstein.identification.score import Candidate, Score, invertibility_of
 from hammerstein.identification.settings import Settings
+from hammerstein.identification.state_space_candidates import (
+    ModalCopies,
+    behind_gain,
+    fit_linear,
+    fit_static_coupled,
+)
 from hammerstein.identification.static.initial_state import cautious_start, closed, judged_starts
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.model import HammersteinModel

@@ -7,7 +7,7 @@ import pytest
 
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.identification import initialisation
-from hammerstein.identification.linear import axis_search
+from hammerstein.identification.linear import axis_fit
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 
@@ -70,10 +70,10 @@ def test_a_parameter_at_its_limit_does_not_end_the_search_of_the_others(monkeypa
         left = np.array([5.0 * (x[1] - x[0] ** 2), 1.0 - x[0], 1.0 + x[2]])
         slope = np.array([[-10.0 * x[0], 5.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         curvature, pull = slope.T @ slope, -slope.T @ left
-        return axis_search.Point(x, slopes, float(np.sqrt(left @ left)), curvature, pull, np.zeros((1, 3)))
+        return axis_fit.Point(x, slopes, float(np.sqrt(left @ left)), curvature, pull, np.zeros((1, 3)))
 
-    monkeypatch.setattr(axis_search, "_point", point)
-    monkeypatch.setattr(axis_search, "fit_slopes", lambda task, path: (np.zeros(1), 0.0))
+    monkeypatch.setattr(axis_fit, "_point", point)
+    monkeypatch.setattr(axis_fit, "fit_slopes", lambda task, path: (np.zeros(1), 0.0))
     task = SimpleNamespace(limits=(np.array([-2.0, -2.0, 0.0]), np.full(3, 2.0)), path=float)
-    found = axis_search.refine(task, np.array([-1.2, 1.0, 0.0]))
+    found = axis_fit.refine(task, np.array([-1.2, 1.0, 0.0]))
     np.testing.assert_allclose(found.x, [1.0, 1.0, 0.0], atol=1e-3)

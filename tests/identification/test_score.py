@@ -5,8 +5,7 @@ import pytest
 
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.identification.model_selection import Trial, as_good, chosen
-from hammerstein.identification.operators import CurvePoint, enough_operators
+from hammerstein.identification.model_selection import CurvePoint, Trial, as_good, chosen, enough_operators
 from hammerstein.identification.score import Candidate, rest_errors, score
 from hammerstein.identification.search import best_delay
 from hammerstein.identification.static.regressors import InitialState

@@ -16,9 +16,8 @@ from hammerstein.identification import play_candidates
 from hammerstein.identification.excitation import several_rates
 from hammerstein.identification.fit_report import axis_statements
 from hammerstein.identification.identify import identify
-from hammerstein.identification.linear import axis_search
-from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis
-from hammerstein.identification.linear.axis_search import refine
+from hammerstein.identification.linear import axis_fit
+from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis, refine
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, axis_of
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.play_candidates import dynamics_of, fit_axes
@@ -137,7 +136,7 @@ def test_search_needs_no_starting_values(axes):
 
 
 def test_a_resonance_is_found_that_shows_only_late_in_long_records(monkeypatch):
-    for module, name in ((play_candidates, "GUESS_SAMPLES"), (axis_search, "COUNTED_SAMPLES")):
+    for module, name in ((play_candidates, "GUESS_SAMPLES"), (axis_fit, "COUNTED_SAMPLES")):
         monkeypatch.setattr(module, name, getattr(module, name) // 4)  # what is long, in less time
     slow, generator, records = 10_000, np.random.default_rng(4), []
     for k in range(2):
@@ -225,30 +224,30 @@ def test_a_slow_record_tells_no_resonance():
     assert statements[0].startswith("resonance and damping of x: dynamics do not lower the error")
 
 
-def axis_fit(resonance_hz, told, creep=(), creep_gain_errors=(), damping_error_percent=1.0):
+def a_fit(resonance_hz, told, creep=(), creep_gain_errors=(), damping_error_percent=1.0):
     axis = Axis(resonance_hz=resonance_hz, damping_ratio=0.1, creep=creep)
     return AxisFit(axis, 0.1, damping_error_percent, creep_gain_errors, 0.1 if told else 0.99, 1.0)
 
 
 def test_an_axis_that_is_not_told_passes_its_input_unchanged():
-    dynamics = dynamics_of([axis_fit(100.0, False), axis_fit(50.0, True)])
-    alone = discretise(AxesDynamics(axes=(axis_fit(50.0, True).axis,)), 1e-3)
+    dynamics = dynamics_of([a_fit(100.0, False), a_fit(50.0, True)])
+    alone = discretise(AxesDynamics(axes=(a_fit(50.0, True).axis,)), 1e-3)
     response = discretise(dynamics, 1e-3).response([0.0, 20.0, 80.0])
     assert np.abs(response[:, 0, 0] - 1.0).max() < 1e-12
     assert np.abs(response[:, 1, 1] - alone.response([0.0, 20.0, 80.0])[:, 0, 0]).max() < 1e-9
     assert np.abs(response[:, 0, 1]).max() == 0.0
-    assert isinstance(dynamics_of([axis_fit(50.0, True)]), AxesDynamics)
+    assert isinstance(dynamics_of([a_fit(50.0, True)]), AxesDynamics)
 
 
 def test_unsure_damping_and_creep_are_stated():
     slow = (CreepMode(gain=0.01, time_constant_s=300.0),)
-    said = list(axis_statements(("x",), [axis_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)]))
+    said = list(axis_statements(("x",), [a_fit(50.0, True, slow, (0.02,), damping_error_percent=40.0)]))
     assert said[0] == "damping of x: standard error 40 %"
     assert said[1].startswith(
         "creep of x with a time constant of 300 s: gain 0.01 ± 0.02; record a step that is held for 3000 s"
     )
     none = (CreepMode(gain=1e-5, time_constant_s=0.03),)
-    (said,) = axis_statements(("x",), [axis_fit(50.0, True, none, (3e-5,))])
+    (said,) = axis_statements(("x",), [a_fit(50.0, True, none, (3e-5,))])
     assert said.endswith("gain 1e-05 ± 3e-05; the records show none; ask for fewer modes")
 
 
@@ -316,7 +315,7 @@ def test_searches_that_meet_arrive_at_one_place():
         tuple(records), (InitialState("rest"),) * 8, (R, R), 0, AxisShape(), 0, SensorModel(SENSOR_HZ)
     )
     begins = [np.log(each) for each in ((320.0, 0.15), (240.0, 0.15), (5000.0, 0.03))]
-    (found,) = axis_search.arrived(lambda x: task, begins, 1e-5)
+    (found,) = axis_fit.arrived(lambda x: task, begins, 1e-5)
     assert np.abs(np.exp(found.x) / AXES[0] - 1.0).max() < 0.02
 
 
@@ -329,9 +328,9 @@ def test_a_search_is_given_up_where_it_stays_far_behind_alone(monkeypatch):
         [(290.0, 0.11, 1.0005), (290.0, 0.11, 0.1)],
     ]
     steps = [[SimpleNamespace(x=np.log([f, z]), rms=rms) for f, z, rms in trail] for trail in trails]
-    monkeypatch.setattr(axis_search, "refined", lambda task, x, enough: iter(steps[x]))
+    monkeypatch.setattr(axis_fit, "refined", lambda task, x, enough: iter(steps[x]))
     task = SimpleNamespace(shape=AxisShape())
-    assert axis_search.arrived(lambda x: task, range(4), 1e-5) == [steps[0][-1], steps[1][-1]]
+    assert axis_fit.arrived(lambda x: task, range(4), 1e-5) == [steps[0][-1], steps[1][-1]]
 
 
 def test_the_oracle_of_these_tests_is_the_step_response_of_theory():

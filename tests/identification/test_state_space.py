@@ -12,17 +12,19 @@ from scipy import signal
 from hammerstein.arrays import transfer
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError, InputError
-from hammerstein.identification.linear import refinement
+from hammerstein.identification.linear import state_space
 from hammerstein.identification.linear.frequency_response import FrequencyResponse, frequency_response
-from hammerstein.identification.linear.refinement import (
+from hammerstein.identification.linear.state_space import (
     Matrices,
     WeightedLines,
     _Place,
+    fit_state_space,
     refine,
     split,
+    stable,
+    subspace,
     weigh,
 )
-from hammerstein.identification.linear.state_space import fit_state_space, stable, subspace
 
 Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "cubespec_fsm"
@@ -75,7 +77,8 @@ def measured(
     for x in u:
         clean = np.atleast_2d(control.forced_response(system, inputs=x, squeeze=False).outputs)
         y.append(clean + noise * rng.standard_normal(clean.shape))
-    return frequency_response(u, y, T, period_samples=period, settle_periods=settle)
+    first = settle * period
+    return frequency_response([x[:, first:] for x in u], [x[:, first:] for x in y], T, period_samples=period)
 
 
 def exact(system: control.StateSpace, frequency_hz: Array) -> FrequencyResponse:
@@ -84,7 +87,6 @@ def exact(system: control.StateSpace, frequency_hz: Array) -> FrequencyResponse:
     return FrequencyResponse(
         frequency_hz=frequency_hz,
         response=response,
-        coherence=np.ones((system.noutputs, F)),
         input_power=np.repeat(np.eye(m, dtype=complex)[:, :, None], F, axis=2),
         residual_power=np.zeros((system.noutputs, F)),
         sample_time_s=T,
@@ -122,11 +124,11 @@ def test_a_random_system_is_recovered_from_steady_periods(n: int, m: int, p: int
 def test_many_lines_are_handled_in_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
     system = random_system(rng, 4, 2, 2)
-    lines = weigh(exact(system, everywhere()), "power")
+    lines = weigh(exact(system, everywhere()))
     model = lines_model(system, rng)
     whole = sums(lines, model)
     start = lines.cost(subspace(lines, 3, 4))
-    monkeypatch.setattr(refinement, "CHUNK", 40)
+    monkeypatch.setattr(state_space, "CHUNK", 40)
     for one, other in zip(whole, sums(lines, model), strict=True):
         assert np.allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(one).max())
     assert lines.cost(subspace(lines, 3, 4)) == pytest.approx(start, rel=1e-9)
@@ -203,24 +205,6 @@ def test_noise_costs_what_the_number_of_parameters_says() -> None:
     assert np.mean(kept) == pytest.approx(s**2 * parameters / 2.0, rel=0.25)
 
 
-def test_variance_weighs_noisy_lines_down() -> None:
-    rng = np.random.default_rng(6)
-    system = random_system(rng, 4, 1, 1)
-    truth = exact(system, np.arange(50.0, 9999.0, 50.0))
-    level = np.where(truth.frequency_hz < 3000.0, 0.3, 1e-3) * np.abs(truth.response).max()
-    noise = (rng.standard_normal((1, 1, 199)) + 1j * rng.standard_normal((1, 1, 199))) * level / np.sqrt(2.0)
-    noisy = replace(
-        truth,
-        response=truth.response + noise,
-        residual_power=level[None] ** 2,
-        variance=level[None, None] ** 2,
-    )
-    quiet = np.arange(3000.0, 9999.0, 10.0)
-    weighed = fit_state_space(noisy, 4, weighting="variance")
-    plain = fit_state_space(noisy, 4)
-    assert worst(weighed, system, quiet) < 0.25 * worst(plain, system, quiet)
-
-
 def test_too_small_an_order_is_refined_to_a_minimum() -> None:
     """The slope of the sum of squares over B and D vanishes: the fit is a least-squares one."""
     rng = np.random.default_rng(21)
@@ -229,7 +213,7 @@ def test_too_small_an_order_is_refined_to_a_minimum() -> None:
     texts: list[str] = []
     block = fit_state_space(g, 6, tolerance=1e-9, max_iterations=200, progress=texts.append)
     reached = output_error_percent(block, g)
-    lines = weigh(g, "power")
+    lines = weigh(g)
     starts = [lines.percent(lines.cost(subspace(lines, 6, rows))) for rows in (7, 14)]
     assert np.sqrt(np.mean(reached**2)) < 0.95 * min(starts)
     for name, row in (("B", 0), ("B", 5), ("D", 1), ("C", 1), ("A", 2)):
@@ -249,7 +233,7 @@ def test_too_small_an_order_is_refined_to_a_minimum() -> None:
 def test_the_jacobian_is_that_of_finite_differences(whole: bool) -> None:
     rng = np.random.default_rng(8)
     system = random_system(rng, 5, 2, 3)
-    lines = weigh(exact(system, everywhere()), "power")
+    lines = weigh(exact(system, everywhere()))
     start = Matrices(
         *(x + 0.01 * rng.standard_normal(x.shape) for x in (system.A, system.B, system.C, system.D))
     )
@@ -267,7 +251,7 @@ def test_the_jacobian_is_that_of_finite_differences(whole: bool) -> None:
 def test_refinement_from_far_away_ends_at_the_truth() -> None:
     rng = np.random.default_rng(9)
     system = random_system(rng, 4, 2, 2)
-    lines = weigh(exact(system, everywhere()), "power")
+    lines = weigh(exact(system, everywhere()))
     start = lines_model(system, rng)
     model = refine(lines, start, 100, 1e-12, lambda number, cost: None)
     assert lines.cost(start) > 1e-2 * lines.total
@@ -293,7 +277,7 @@ def test_an_unstable_response_still_gives_a_stable_model() -> None:
 
 def test_no_step_leaves_the_unit_circle() -> None:
     outside = control.ss([[1.02]], [[1.0]], [[1.0]], [[0.0]], T)
-    lines = weigh(exact(outside, everywhere()), "power")
+    lines = weigh(exact(outside, everywhere()))
     start = Matrices(np.array([[0.98]]), np.array([[1.0]]), np.array([[1.0]]), np.array([[0.0]]))
     assert abs(refine(lines, start, 50, 1e-9, lambda number, cost: None).A[0, 0]) < 1.0
 
@@ -332,19 +316,10 @@ def test_an_output_at_rest_is_named() -> None:
         fit_state_space(g, 1)
 
 
-def test_an_unknown_variance_cannot_weigh() -> None:
-    g = exact(random_system(np.random.default_rng(12), 2, 1, 1), everywhere())
-    with pytest.raises(IdentificationError, match="choose the weighting 'power'"):
-        fit_state_space(g, 2, weighting="variance")
-
-
-@pytest.mark.parametrize(
-    ("order", "weighting", "message"), [(0, "power", "at least 1 state"), (2, "none", "'none' is not known")]
-)
-def test_mistakes_are_named(order: int, weighting: str, message: str) -> None:
+def test_an_order_below_one_is_refused() -> None:
     g = exact(random_system(np.random.default_rng(13), 2, 1, 1), everywhere())
-    with pytest.raises(InputError, match=message):
-        fit_state_space(g, order, weighting=weighting)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="at least 1 state"):
+        fit_state_space(g, 0)
 
 
 @pytest.mark.parametrize(

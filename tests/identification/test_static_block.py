@@ -11,8 +11,9 @@ from scipy.signal import lfilter
 from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.identify import identify
-from hammerstein.identification.operators import CurvePoint, enough_operators, error_curve, input_grids
+from hammerstein.identification.model_selection import CurvePoint, enough_operators, error_curve
 from hammerstein.identification.settings import Settings
+from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     coefficients,

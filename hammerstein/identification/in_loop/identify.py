@@ -39,7 +39,7 @@ from hammerstein.identification.in_loop.start import (
     with_plays,
     with_products,
 )
-from hammerstein.identification.linear.coupled import measured_response
+from hammerstein.identification.linear.frequency_response import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.options import FEWEST_EXPERIMENTS, KnownSensor, Order

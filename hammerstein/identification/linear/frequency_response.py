@@ -9,10 +9,11 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hammerstein.arrays import Array, Complex, freeze
 from hammerstein.errors import IdentificationError, InputError
+from hammerstein.records.record import Record
 
 EXCITED = 1e-5
 """Part of the strongest line's power from which a line counts as excited: harmonics and noise stay below."""
@@ -21,7 +22,7 @@ SEPARATED = 1e-3
 """Smallest eigenvalue of the inputs' coherence matrix at which they count as moving independently."""
 
 SEGMENTS = 16
-"""Segments cut from the shortest experiment where the caller does not choose their length."""
+"""Segments cut from the shortest experiment."""
 
 HANN_OVERLAP = 18.0 / 19.0
 """Independent averages a segment: Hann windows that overlap by half share (1/6)^2 of their power."""
@@ -29,30 +30,23 @@ HANN_OVERLAP = 18.0 / 19.0
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """Frequency response of p outputs to m inputs at F lines, with its uncertainty.
+    """Frequency response of p outputs to m inputs at F lines.
 
     Parameters
     ----------
     frequency_hz : (F,) lines [Hz], increasing
     response : (p, m, F) complex gain [output / input], for example [um/V]
-    coherence : (p, F) multiple coherence: fraction of an output's power that the inputs explain linearly
     input_power : (m, m, F) mean of U U^H over the experiments [input^2]
     residual_power : (p, F) output power that the inputs do not explain: noise and distortion [output^2];
         if there are only as many experiments as inputs, the noise between periods, or 0
     sample_time_s : time between two samples of the records [s]
-    variance : (p, m, F) variance of ``response`` due to this residue; None if it cannot be estimated
-    noise_variance : (p, F) variance of the averaged output spectrum due to noise alone, from the differences
-        between periods [output^2]; None for a single period or for excitation that is not periodic
     """
 
     frequency_hz: Array
     response: Complex
-    coherence: Array
     input_power: Complex
     residual_power: Array
     sample_time_s: float
-    variance: Array | None = None
-    noise_variance: Array | None = None
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -79,15 +73,20 @@ class _Blocks(NamedTuple):
     noise_variance: Array | None
 
 
+def measured_response(records: Sequence[Record], v_um: Sequence[Array] | None = None) -> FrequencyResponse:
+    """Frequency response from the voltages, or from the output of the static block, to the readings."""
+    period = records[0].period_samples
+    same = all(record.period_samples == period for record in records)
+    return frequency_response(
+        [record.u_v for record in records] if v_um is None else v_um,
+        [record.y_um for record in records],
+        records[0].sample_time_s,
+        period_samples=period if same else None,
+    )
+
+
 def frequency_response(
-    u: ArrayLike | Sequence[ArrayLike],
-    y: ArrayLike | Sequence[ArrayLike],
-    sample_time_s: float,
-    *,
-    period_samples: int | None = None,
-    settle_periods: int = 0,
-    segment_samples: int | None = None,
-    band_hz: tuple[float, float] | None = None,
+    u: Sequence[Array], y: Sequence[Array], sample_time_s: float, *, period_samples: int | None = None
 ) -> FrequencyResponse:
     """Estimate the frequency response from one or more experiments on one actuator.
 
@@ -98,28 +97,20 @@ def frequency_response(
     exact response. It needs as many experiments as inputs, for example orthogonal multisines or one input
     driven at a time.
 
-    Other excitation (``period_samples`` absent): Hann segments that overlap by half. The two lowest lines
-    hold the offset and are excluded. Segments must be several times longer than the slowest ringing; shorter
-    ones flatten the resonance.
+    Other excitation (``period_samples`` absent): Hann segments that overlap by half, a ninth of the shortest
+    experiment long, at least 32 and at most 8192 samples. The two lowest lines hold the offset and are
+    excluded. Segments must be several times longer than the slowest ringing; shorter ones flatten the
+    resonance.
 
     Parameters
     ----------
-    u : (m, sample), or one such array for each experiment
-    y : (p, sample), or one such array for each experiment
+    u, y : (m, sample) and (p, sample) of each experiment
     sample_time_s : time between two samples [s]
     period_samples : length of one period [samples]; periods are counted from the end of each experiment
-    settle_periods : excluded periods at the start of each experiment, for its transient
-    segment_samples : length of one segment [samples]; a ninth of the shortest experiment, at least 32 and
-        at most 8192, if not given
-    band_hz : lowest and highest line to keep [Hz]
-
-    Returns
-    -------
-    FrequencyResponse
 
     Raises
     ------
-    InputError : wrong shapes, values that are not finite, a period or segment that does not fit
+    InputError : experiments that are too short for the period or for segments
     IdentificationError : an input never driven; inputs that always move together; too little data
 
     References
@@ -135,60 +126,27 @@ def frequency_response(
     >>> g.response.shape, np.allclose(g.response, [[[2.0], [-1.0]]])
     ((1, 2, 31), True)
     """
-    inputs, outputs = _experiments(u, y, sample_time_s)
     if period_samples is None:
-        blocks = _segments(inputs, outputs, sample_time_s, segment_samples)
+        blocks = _segments(u, y, sample_time_s)
     else:
-        blocks = _periods(inputs, outputs, sample_time_s, period_samples, settle_periods)
-    return _estimate(blocks, _separable_lines(blocks, band_hz), sample_time_s)
+        blocks = _periods(u, y, sample_time_s, period_samples)
+    return _estimate(blocks, _separable_lines(blocks), sample_time_s)
 
 
-def _experiments(
-    u: ArrayLike | Sequence[ArrayLike], y: ArrayLike | Sequence[ArrayLike], sample_time_s: float
-) -> tuple[list[Array], list[Array]]:
-    inputs, outputs = _arrays(u), _arrays(y)
-    if len(inputs) != len(outputs) or not inputs:
-        raise InputError(
-            "records", f"{len(inputs)} experiments of inputs, {len(outputs)} of outputs; give equally many"
-        )
-    m, p = len(inputs[0]), len(outputs[0])
-    for i, (a, b) in enumerate(zip(inputs, outputs, strict=True), start=1):
-        name = f"experiment {i}"
-        if a.ndim != 2 or b.ndim != 2 or a.shape != (m, a.shape[-1]) or b.shape != (p, a.shape[-1]):
-            raise InputError(
-                name,
-                f"inputs have shape {a.shape}, outputs {b.shape}; give ({m}, samples) and ({p}, samples)",
-            )
-        if not (np.isfinite(a).all() and np.isfinite(b).all()):
-            raise InputError(name, "holds values that are not finite; repair or cut the record")
-    if not (np.isfinite(sample_time_s) and sample_time_s > 0.0):
-        raise InputError("sample_time_s", f"is {sample_time_s:g}; it must be above 0")
-    return inputs, outputs
-
-
-def _arrays(values: ArrayLike | Sequence[ArrayLike]) -> list[Array]:
-    if isinstance(values, np.ndarray) and values.ndim == 2:
-        return [np.asarray(values, dtype=np.float64)]
-    return [np.asarray(v, dtype=np.float64) for v in values]  # type: ignore[union-attr]
-
-
-def _periods(
-    inputs: list[Array], outputs: list[Array], sample_time_s: float, period: int, settle: int
-) -> _Blocks:
+def _periods(inputs: Sequence[Array], outputs: Sequence[Array], sample_time_s: float, period: int) -> _Blocks:
     """One block an experiment: the spectrum of its mean period."""
     shortest = min(u.shape[1] for u in inputs)
-    if period < 4 or settle < 0 or shortest < (settle + 1) * period:
+    if period < 4 or shortest < period:
         raise InputError(
             "period_samples",
-            f"a period of {period} samples after {settle} settling periods does not fit into "
-            f"{shortest} samples; give the true period (at least 4) and fewer settling periods",
+            f"a period of {period} samples does not fit into {shortest} samples; give the true period "
+            "(at least 4)",
         )
     lines = np.arange(1, (period + 1) // 2)  # neither the mean nor the Nyquist line
-    U = [_period_spectra(u, period, settle)[..., lines] for u in inputs]
-    Y = [_period_spectra(y, period, settle)[..., lines] for y in outputs]
-    counts = np.array([len(y) for y in Y])
+    U = [_period_spectra(u, period)[..., lines] for u in inputs]
+    Y = [_period_spectra(y, period)[..., lines] for y in outputs]
     noise = None
-    if counts.min() > 1:
+    if min(map(len, Y)) > 1:
         # variance of each experiment's mean, averaged over the experiments
         noise = np.mean([np.var(y, axis=0, ddof=1) / len(y) for y in Y], axis=0)
     return _Blocks(
@@ -200,25 +158,19 @@ def _periods(
     )
 
 
-def _period_spectra(x: Array, period: int, settle: int) -> Complex:
+def _period_spectra(x: Array, period: int) -> Complex:
     """Spectra (period, axis, line) of the whole periods at the end of a record."""
-    count = x.shape[1] // period - settle
+    count = x.shape[1] // period
     whole = x[:, x.shape[1] - count * period :].reshape(len(x), count, period)
     return np.asarray(np.fft.rfft(whole, axis=2).swapaxes(0, 1) / period)
 
 
-def _segments(
-    inputs: list[Array], outputs: list[Array], sample_time_s: float, segment: int | None
-) -> _Blocks:
+def _segments(inputs: Sequence[Array], outputs: Sequence[Array], sample_time_s: float) -> _Blocks:
     """One block a Hann segment, half overlapping."""
     shortest = min(u.shape[1] for u in inputs)
-    length = int(np.clip(2 * shortest // (SEGMENTS + 1), 32, 8192)) if segment is None else segment
-    if length < 8 or shortest < length:
-        raise InputError(
-            "segment_samples",
-            f"segments of {length} samples cannot be cut from {shortest} samples; "
-            "choose at least 8 and at most the length of the shortest experiment",
-        )
+    length = int(np.clip(2 * shortest // (SEGMENTS + 1), 32, 8192))
+    if shortest < length:
+        raise InputError("records", f"segments of {length} samples cannot be cut from {shortest} samples")
     lines = np.arange(2, (length + 1) // 2)
     U = np.concatenate([_segment_spectra(u, length)[..., lines] for u in inputs])
     Y = np.concatenate([_segment_spectra(y, length)[..., lines] for y in outputs])
@@ -238,7 +190,7 @@ def _segment_spectra(x: Array, length: int) -> Complex:
     return np.asarray(np.fft.rfft(cut * window, axis=2).swapaxes(0, 1) / window.sum())
 
 
-def _separable_lines(blocks: _Blocks, band_hz: tuple[float, float] | None) -> NDArray[np.intp]:
+def _separable_lines(blocks: _Blocks) -> NDArray[np.intp]:
     """Lines at which every input is driven, and independently of the others."""
     m, f = blocks.U.shape[1], blocks.frequency_hz
     power = np.mean(np.abs(blocks.U) ** 2, axis=2)
@@ -247,13 +199,11 @@ def _separable_lines(blocks: _Blocks, band_hz: tuple[float, float] | None) -> ND
         raise IdentificationError(
             f"{_named(still)} never driven and therefore not identifiable: drive it, or remove it"
         )
-    low, high = band_hz or (0.0, np.inf)
-    band = (f >= low) & (f <= high)
-    lines = np.flatnonzero(band & np.all(power >= EXCITED * power.max(axis=0), axis=1))
+    lines = np.flatnonzero(np.all(power >= EXCITED * power.max(axis=0), axis=1))
     if not lines.size:
         raise IdentificationError(
-            f"no line between {max(low, f[0]):g} and {min(high, f[-1]):g} Hz is excited by every "
-            "input: drive all inputs over the same band, or widen band_hz"
+            f"no line between {f[0]:g} and {f[-1]:g} Hz is excited by every input: drive all inputs over the "
+            "same band"
         )
     scaled = blocks.U[lines] / np.sqrt(power[lines])[:, :, None]
     values, vectors = np.linalg.eigh(scaled @ scaled.conj().swapaxes(1, 2) / blocks.U.shape[2])
@@ -283,27 +233,16 @@ def _estimate(blocks: _Blocks, lines: NDArray[np.intp], sample_time_s: float) ->
     conjugate = U.conj().swapaxes(1, 2)
     s_uu = U @ conjugate / count
     response = np.linalg.solve(s_uu.swapaxes(1, 2), (Y @ conjugate / count).swapaxes(1, 2)).swapaxes(1, 2)
-    explained = np.mean(np.abs(response @ U) ** 2, axis=2)
-    noise = None if blocks.noise_variance is None else blocks.noise_variance.T[lines]
-    residue = None
+    residue = np.zeros((len(lines), Y.shape[1]))
     if (free := blocks.independent - m) > 0.0:
         # the fit itself has taken m of the spectra's freedom
         residue = np.mean(np.abs(Y - response @ U) ** 2, axis=2) * (blocks.independent / free)
-    elif noise is not None:
-        residue = noise
-    unexplained = np.zeros_like(explained) if residue is None else residue
-    total = explained + unexplained
-    variance = None
-    if residue is not None:
-        spread = np.diagonal(np.linalg.inv(s_uu), axis1=1, axis2=2).real / blocks.independent
-        variance = (residue[:, :, None] * spread[:, None, :]).transpose(1, 2, 0)
+    elif blocks.noise_variance is not None:
+        residue = blocks.noise_variance.T[lines]
     return FrequencyResponse(
         frequency_hz=blocks.frequency_hz[lines],
         response=response.transpose(1, 2, 0),
-        coherence=np.divide(explained, total, out=np.zeros_like(total), where=total > 0.0).T,
         input_power=s_uu.transpose(1, 2, 0),
-        residual_power=unexplained.T,
+        residual_power=residue.T,
         sample_time_s=float(sample_time_s),
-        variance=variance,
-        noise_variance=None if noise is None else noise.T,
     )

@@ -17,8 +17,7 @@ import hammerstein.reporting.figures.style as style
 from hammerstein.arrays import Array
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
-from hammerstein.identification.linear.coupled import measured_response
-from hammerstein.identification.linear.frequency_response import FrequencyResponse
+from hammerstein.identification.linear.frequency_response import FrequencyResponse, measured_response
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.loops import widest_cycle
 from hammerstein.records.record import Record
