@@ -58,6 +58,7 @@ def test_steady_periods_give_the_response_exactly(m: int, p: int, spare: int, se
     assert g.response.shape == (p, m, 24)
     assert np.allclose(g.frequency_hz, np.arange(1, 25) / (50 * T))
     assert np.allclose(g.response, fir_response(taps, g.frequency_hz), atol=1e-9)
+    assert np.allclose(g.coherence, 1.0)
     assert np.all(g.residual_power < 1e-25)
 
 
@@ -121,6 +122,14 @@ def test_segments_agree_with_scipy() -> None:
     assert np.allclose(g.frequency_hz, np.arange(2, 128) / (256 * T))
 
 
+def test_coherence_of_segments() -> None:
+    rng = np.random.default_rng(6)
+    u = [rng.standard_normal((2, 40_000)) for _ in range(2)]
+    y = [np.array([[3.0, 4.0]]) @ x + 5.0 * rng.standard_normal((1, 40_000)) for x in u]
+    g = frequency_response(u, y, T)
+    assert np.mean(g.coherence) == pytest.approx(0.5, abs=0.02)  # signal power 3^2 + 4^2, noise 5^2
+
+
 def test_a_resonance_by_segments() -> None:
     rng = np.random.default_rng(7)
     b, a = [0.0, 0.1], [1.0, -1.6, 0.8]
@@ -163,9 +172,10 @@ def test_inputs_driven_at_different_lines_share_none() -> None:
         frequency_response(u, u, T, period_samples=200)
 
 
-def test_an_output_at_rest_has_no_response() -> None:
+def test_an_output_at_rest_has_no_coherence() -> None:
     u = periodic(np.random.default_rng(11), 1, 100, 2)
     g = frequency_response(u, np.vstack([u, 0 * u]), T, period_samples=100)
+    assert np.all(g.coherence[1] == 0.0)
     assert np.all(g.response[1] == 0.0)
 
 
@@ -205,6 +215,7 @@ def test_measured_mirror(level: int, percent: float) -> None:
         error.append(np.mean((measured - np.fft.irfft(model)) ** 2, axis=1))
     ratio = np.sqrt(np.mean(error, axis=0) / np.mean([np.mean(x**2, axis=1) for x in yt], axis=0))
     assert 100 * np.mean(ratio) == pytest.approx(percent, abs=0.05)
+    assert np.median(g.coherence) > 0.99
 
 
 def mirror(level: int, part: str) -> tuple[list[Array], list[Array]]:

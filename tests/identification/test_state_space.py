@@ -87,6 +87,7 @@ def exact(system: control.StateSpace, frequency_hz: Array) -> FrequencyResponse:
     return FrequencyResponse(
         frequency_hz=frequency_hz,
         response=response,
+        coherence=np.ones((system.noutputs, F)),
         input_power=np.repeat(np.eye(m, dtype=complex)[:, :, None], F, axis=2),
         residual_power=np.zeros((system.noutputs, F)),
         sample_time_s=T,

@@ -36,6 +36,7 @@ class FrequencyResponse:
     ----------
     frequency_hz : (F,) lines [Hz], increasing
     response : (p, m, F) complex gain [output / input], for example [um/V]
+    coherence : (p, F) multiple coherence: fraction of an output's power that the inputs explain linearly
     input_power : (m, m, F) mean of U U^H over the experiments [input^2]
     residual_power : (p, F) output power that the inputs do not explain: noise and distortion [output^2];
         if there are only as many experiments as inputs, the noise between periods, or 0
@@ -44,6 +45,7 @@ class FrequencyResponse:
 
     frequency_hz: Array
     response: Complex
+    coherence: Array
     input_power: Complex
     residual_power: Array
     sample_time_s: float
@@ -233,15 +235,18 @@ def _estimate(blocks: _Blocks, lines: NDArray[np.intp], sample_time_s: float) ->
     conjugate = U.conj().swapaxes(1, 2)
     s_uu = U @ conjugate / count
     response = np.linalg.solve(s_uu.swapaxes(1, 2), (Y @ conjugate / count).swapaxes(1, 2)).swapaxes(1, 2)
-    residue = np.zeros((len(lines), Y.shape[1]))
+    explained = np.mean(np.abs(response @ U) ** 2, axis=2)
+    residue = np.zeros_like(explained)
     if (free := blocks.independent - m) > 0.0:
         # the fit itself has taken m of the spectra's freedom
         residue = np.mean(np.abs(Y - response @ U) ** 2, axis=2) * (blocks.independent / free)
     elif blocks.noise_variance is not None:
         residue = blocks.noise_variance.T[lines]
+    total = explained + residue
     return FrequencyResponse(
         frequency_hz=blocks.frequency_hz[lines],
         response=response.transpose(1, 2, 0),
+        coherence=np.divide(explained, total, out=np.zeros_like(total), where=total > 0.0).T,
         input_power=s_uu.transpose(1, 2, 0),
         residual_power=residue.T,
         sample_time_s=float(sample_time_s),
