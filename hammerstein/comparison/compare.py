@@ -23,7 +23,7 @@ from hammerstein.errors import HammersteinError
 from hammerstein.identification.excitation import quantile_hz
 from hammerstein.identification.identify import from_last_rest
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-from hammerstein.identification.in_loop.selection import Selection, settled_periods
+from hammerstein.identification.in_loop.search import Selection, settled_periods
 from hammerstein.identification.model_selection import Trial, as_good, chosen, least, trial_of
 from hammerstein.identification.options import PLAYS
 from hammerstein.identification.residual_analysis import record_flags

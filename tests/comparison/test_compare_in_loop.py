@@ -27,8 +27,8 @@ from hammerstein.dynamics import (
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.in_loop.identify import LoopSettings
-from hammerstein.identification.in_loop.search import SettledPeriod
-from hammerstein.identification.in_loop.selection import Selection
+from hammerstein.identification.in_loop.parameters import SettledPeriod
+from hammerstein.identification.in_loop.search import Selection
 from hammerstein.identification.model_selection import Trial
 from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import Candidate

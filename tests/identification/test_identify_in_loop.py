@@ -14,7 +14,7 @@ from hammerstein.commands.cli import app
 from hammerstein.dynamics import ElastoSlip, ElectromechanicalDynamics, StackAxis, on_grid
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.identification.in_loop.identify import LoopSettings, identify_in_loop
-from hammerstein.identification.in_loop.selection import Selection, settled_periods, with_period
+from hammerstein.identification.in_loop.search import Selection, settled_periods, with_period
 from hammerstein.identification.model_selection import Trial
 from hammerstein.records.record import Record
 

@@ -11,9 +11,15 @@ import pytest
 from hammerstein import HammersteinModel
 from hammerstein.dynamics import on_grid
 from hammerstein.identification.in_loop import search
-from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.search import Search, SettledPeriod
-from hammerstein.identification.in_loop.start import with_band, with_ends, with_plays, with_products
+from hammerstein.identification.in_loop.parameters import (
+    LoopParameters,
+    SettledPeriod,
+    with_band,
+    with_ends,
+    with_plays,
+    with_products,
+)
+from hammerstein.identification.in_loop.search import Search
 from reports.measured.one_model.make import benchmark_rms
 
 WARM, SAMPLES = 300, 512

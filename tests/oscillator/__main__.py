@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from hammerstein.dynamics import FeedbackBlock
-from hammerstein.identification.in_loop.search import OpenLoop, SettledPeriod, fit_loop
+from hammerstein.identification.in_loop.parameters import SettledPeriod
+from hammerstein.identification.in_loop.search import OpenLoop, fit_loop
 from hammerstein.identification.linear.frequency_response import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.records.record import Record

@@ -8,7 +8,8 @@ import pytest
 from hammerstein.dynamics import FeedbackBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import BoucWen, BoucWenPair
-from hammerstein.identification.in_loop.search import OpenLoop, SettledPeriod, fit_loop
+from hammerstein.identification.in_loop.parameters import SettledPeriod
+from hammerstein.identification.in_loop.search import OpenLoop, fit_loop
 from oscillator.__main__ import RESULTS, UNSEEN, WARM, decibels, judged, record, start
 from oscillator.oscillator import multisine, positions
 

@@ -23,21 +23,23 @@ from hammerstein.files import read_limited, write_atomic
 from hammerstein.identification.fit import Fit, Kind
 from hammerstein.identification.fit_report import left_out, model_of, offsets, verdict
 from hammerstein.identification.identify import from_last_rest, given_records
-from hammerstein.identification.in_loop.parameters import LoopParameters
-from hammerstein.identification.in_loop.search import Progress, Search, SettledPeriod
-from hammerstein.identification.in_loop.selection import (
-    Selection,
-    from_one_point,
-    settled_periods,
-    start_of,
-    with_period,
-)
-from hammerstein.identification.in_loop.start import (
+from hammerstein.identification.in_loop.parameters import (
+    LoopParameters,
+    SettledPeriod,
     linear_start,
     with_band,
     with_ends,
     with_plays,
     with_products,
+)
+from hammerstein.identification.in_loop.search import (
+    Progress,
+    Search,
+    Selection,
+    from_one_point,
+    settled_periods,
+    start_of,
+    with_period,
 )
 from hammerstein.identification.linear.frequency_response import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
