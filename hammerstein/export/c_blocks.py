@@ -30,7 +30,7 @@ from hammerstein.hysteresis import (
     RateDependent,
     RateState,
     bouc_wen_kernels,
-    busy_kernels,
+    play_kernels,
     rate_dependent_kernels,
     shape_kernels,
 )
@@ -103,8 +103,8 @@ def c_block_of(hysteresis: object, state: object) -> CPart:
 def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
     """Stack of segments on a floor at rest, with the output at each tip; the plays while an input is busy."""
     bank, m = hysteresis.bank, hysteresis.n_inputs
-    groups = -(-bank.r.shape[1] // busy_kernels.GROUP)
-    width = groups * busy_kernels.GROUP
+    groups = -(-bank.r.shape[1] // play_kernels.GROUP)
+    width = groups * play_kernels.GROUP
     padded, weight = np.zeros((m, width)), np.zeros((m, width, hysteresis.n_outputs))
     weight[:, : bank.w.shape[1]] = bank.w
     segments = bank.r.shape[1] + 2
@@ -124,12 +124,12 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
         plays.append({"count": int(state.count[k]), **window, "play": padded[k], "stack": held})
     return _grid(hysteresis, segments) + CPart(
         sizes=(
-            Size("GROUP", busy_kernels.GROUP, "operators whose weighted outputs are summed together"),
+            Size("GROUP", play_kernels.GROUP, "operators whose weighted outputs are summed together"),
             Size("GROUPS", groups, "of them"),
-            Size("LOOK", busy_kernels.LOOK, "samples between two counts of the turns"),
-            Size("WINDOW", busy_kernels.WINDOW, "the same in the form for frequent turns"),
-            Size("TURN", busy_kernels.TURN, "number of operators whose update costs as much as a turn"),
-            Size("LONGEST", (busy_kernels.LOOK + 1) * busy_kernels.TURN, "counted samples"),
+            Size("LOOK", play_kernels.LOOK, "samples between two counts of the turns"),
+            Size("WINDOW", play_kernels.WINDOW, "the same in the form for frequent turns"),
+            Size("TURN", play_kernels.TURN, "number of operators whose update costs as much as a turn"),
+            Size("LONGEST", (play_kernels.LOOK + 1) * play_kernels.TURN, "counted samples"),
         ),
         tables=(Table("weight", weight, "Weights [um/V]: input, operator, output; padded with zeros."),),
         indices=(Table("operators", bank.n, "Operators of each input."),),
@@ -141,7 +141,7 @@ def _(hysteresis: PrandtlIshlinskii, state: PlayState) -> CPart:
 def _window(row: Array) -> dict[str, Any]:
     """How often an input turned lately, as its memory in C counts it."""
     names = ("busy", "seen", "turns", "rested", "last", "before")
-    found = {name: row[getattr(busy_kernels, name.upper())] for name in names}
+    found = {name: row[getattr(play_kernels, name.upper())] for name in names}
     return found | {name: int(found[name]) for name in names[:4]}
 
 

@@ -13,7 +13,6 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, ByValue, freeze_fields, frozen, padded
 from hammerstein.errors import InputError, Mistake, refuse
-from hammerstein.hysteresis.describing_function import Describable
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
     Bounds,
@@ -25,6 +24,7 @@ from hammerstein.hysteresis.identifiable import (
 )
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
+    Describable,
     Hysteresis,
     HysteresisFile,
     PairFile,

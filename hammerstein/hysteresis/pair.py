@@ -242,7 +242,7 @@ class PlayState(Memory):
     ``PrandtlIshlinskii.rest``, ``.state_of`` and every run return one; its arrays are read-only.
 
     count : (m,) height of each stack; end, x, d : (m, operator+1); below : (m, operator+1, p)
-    window : (m, columns) which form each input is in, and how often it turned lately (see ``busy_kernels``)
+    window : (m, columns) which form each input is in, and how often it turned lately (see ``play_kernels``)
     """
 
     count: Indices

@@ -13,7 +13,6 @@ from pydantic import Field
 
 from hammerstein.arrays import Array, frozen, spans
 from hammerstein.errors import InputError, Mistake, naming
-from hammerstein.hysteresis.describing_function import Describable, describing_function
 from hammerstein.hysteresis.identifiable import (
     LEAST_ENGAGED,
     Bounds,
@@ -24,9 +23,11 @@ from hammerstein.hysteresis.identifiable import (
 )
 from hammerstein.hysteresis.kind import (
     CovarianceFile,
+    Describable,
     HysteresisFile,
     OfPairs,
     PairFile,
+    describing_function,
     refuse_not_finite,
 )
 from hammerstein.hysteresis.pair import (
@@ -137,7 +138,7 @@ class PrandtlIshlinskii(OfPairs[PlayState], Identifiable, Describable):
         Raises InputError where no history of the input leads to them: neighbours may differ by no more
         than their thresholds do.
         """
-        from hammerstein.hysteresis.busy_kernels import COLUMNS
+        from hammerstein.hysteresis.play_kernels import COLUMNS
 
         bank = self.bank
         m, width, p = bank.n.size, bank.r.shape[1] + 1, self.n_outputs

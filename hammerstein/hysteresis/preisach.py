@@ -14,9 +14,9 @@ from pydantic import Field
 from hammerstein.arrays import Array, Flags, Indices, filled, freeze, freeze_fields, frozen
 from hammerstein.blocks import Memory
 from hammerstein.errors import Mistake, refuse
-from hammerstein.hysteresis.describing_function import Describable
 from hammerstein.hysteresis.identifiable import Bounds, ColumnChoice, Driven, Identifiable
 from hammerstein.hysteresis.kind import (
+    Describable,
     Hysteresis,
     HysteresisFile,
     lower_rows,

@@ -32,7 +32,13 @@ from hammerstein.identification.static.normal_equations import (
     refitted,
     squares_left,
 )
-from hammerstein.identification.static.regressors import InitialState, Regressors, delayed, regressor_blocks
+from hammerstein.identification.static.regressors import (
+    InitialState,
+    PlayColumns,
+    Regressors,
+    behind_filters,
+    delayed,
+)
 from hammerstein.identification.static.static_block import path_filters
 from hammerstein.records.record import Record
 
@@ -353,7 +359,8 @@ def error_curve(
             parts = []
             for i, (record, start) in enumerate(zip(few, begun, strict=True)):
                 filters = path_filters(through, i, o, len(span))
-                blocks = regressor_blocks(delayed(record, start, delay_samples), start, grids, filters)
+                plays = PlayColumns.of(delayed(record, start, delay_samples), start, grids)
+                blocks = behind_filters(plays, start, filters)
                 parts.append(moments_of_folds(blocks, record.y_um[[o]], start.first, columns, PARTS))
             whole = pooled([moments for part in parts for moments in part.values()])
             found = partial(refitted, whole=whole, weights=coefficients(whole.gram, whole.cross[:, 0]))

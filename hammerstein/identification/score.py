@@ -25,7 +25,7 @@ from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.hysteresis.invertibility import invertibility
 from hammerstein.identification.options import InitialStateMode
-from hammerstein.identification.static.initial_state import own_starts
+from hammerstein.identification.static.initial_state import own_start
 from hammerstein.identification.static.regressors import InitialState, Regressors
 from hammerstein.identification.static.static_block import half_swing
 from hammerstein.quantities import interval
@@ -168,7 +168,10 @@ class Candidate:
         self, records: Sequence[Record], starts: Sequence[InitialState], mode: InitialStateMode = "auto"
     ) -> tuple[InitialState, ...]:
         """Initial state of each record for this model, on the samples that count for all models."""
-        return own_starts(records, starts, self.predict, mode, self.slow_s)
+        if mode != "auto":
+            return tuple(starts)
+        each = zip(records, starts, strict=True)
+        return tuple(own_start(record, start, self.predict, self.slow_s) for record, start in each)
 
     def predict(self, record: Record, start: InitialState) -> Array:
         """Predicted readings (output, sample) for the voltages of a record, without offset [um]."""

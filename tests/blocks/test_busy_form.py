@@ -12,7 +12,7 @@ from hammerstein.compensators.feedback.loop import Gains
 from hammerstein.compensators.feedback.pid import FeedbackController, closed_loop
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.busy_kernels import BUSY, LOOK, TURN, WINDOW
+from hammerstein.hysteresis.play_kernels import BUSY, LOOK, TURN, WINDOW
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import WIRES, Plant
 

@@ -24,7 +24,7 @@ from hammerstein.export.operations import Code
 from hammerstein.export.request import request_of
 from hammerstein.export.trial import FLAGS, build, compiler, worst_case_step
 from hammerstein.hysteresis import Preisach
-from hammerstein.hysteresis.busy_kernels import WINDOW
+from hammerstein.hysteresis.play_kernels import WINDOW
 from hammerstein.model import HammersteinModel
 
 MILLION = 1_000_000
@@ -57,7 +57,7 @@ def test_every_bit_is_that_of_python(name):
 @needs_compiler
 @pytest.mark.parametrize("name", ["model", "three inputs model", "decoupled_inverse"])
 def test_code_that_turns_all_the_time_and_then_does_not_keeps_every_bit(name):
-    """Two samples of three turn, then none for a while: to the form of ``busy_kernels`` and back."""
+    """Two samples of three turn, then none for a while: to the form of ``play_kernels`` and back."""
     code, library = compiled(name)
     slow = np.sin(np.arange(3 * WINDOW) / 150.0) * np.ones((code.adverse(1).shape[0], 1))
     loud = np.random.default_rng(4).uniform(-1.0, 1.0, slow.shape)

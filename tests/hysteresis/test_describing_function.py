@@ -11,7 +11,7 @@ from hammerstein.blocks.limit_cycles import limit_cycles
 from hammerstein.dynamics import AxesDynamics, Axis, discretise
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Envelope, Generalised, Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.describing_function import describing_function
+from hammerstein.hysteresis.kind import describing_function
 from hammerstein.model import HammersteinModel
 from hammerstein.model.simulation import Plant, PlantState
 

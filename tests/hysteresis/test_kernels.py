@@ -6,9 +6,8 @@ import theory
 from hypothesis import given, settings, strategies as st
 
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.hysteresis.busy_kernels import WINDOW
 from hammerstein.hysteresis.pair import search_guide
-from hammerstein.hysteresis.play_kernels import BLOCK, first_at_least, move
+from hammerstein.hysteresis.play_kernels import BLOCK, WINDOW, first_at_least, move
 
 RNG_SEED = 11
 

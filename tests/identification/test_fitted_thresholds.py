@@ -15,7 +15,7 @@ from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.closed_form import input_grids
-from hammerstein.identification.static.regressors import BLOCK, InitialState, regressor_blocks
+from hammerstein.identification.static.regressors import BLOCK, InitialState, PlayColumns
 from hammerstein.identification.static.static_block import fit_static
 from hammerstein.identification.static.threshold_search import (
     ThresholdTask,
@@ -119,7 +119,7 @@ def test_derivatives_of_the_plays_are_their_central_differences():
     generator = np.random.default_rng(1)
     u = np.hstack([np.zeros((1, 20)), wandering(generator, 1, BLOCK + 3000)])
     r, h = np.array([0.0, 0.4, 2.5, 7.0]), 1e-7
-    rows = np.hstack([x for _, x in regressor_blocks(u, InitialState("rest"), [r], with_derivatives=True)])
+    rows = np.hstack([x for _, x in PlayColumns.of(u, InitialState("rest"), [r], True).counted])
     ahead, behind = (np.array([theory.play(u[0], x + step) for x in r[1:]]) for step in (h, -h))
     difference = (ahead - behind) / (2.0 * h)
     differs = np.abs(rows[5:] - difference) > 1e-6

@@ -28,7 +28,6 @@ from hammerstein.identification.static.regressors import (
     Regressors,
     SideBySide,
     channel,
-    regressor_blocks,
 )
 from hammerstein.identification.static.static_block import direct_pairs, fit_static
 from hammerstein.records.record import Record
@@ -401,7 +400,7 @@ def test_columns_that_are_zero_need_not_be_summed():
 def test_plays_of_an_input_that_rests_stay_where_its_voltage_put_them(middle):
     r = np.array([0.0, 1.0, 3.0])
     start = InitialState("stepped", 0, ((middle, middle),))
-    [(_, x)] = regressor_blocks(np.full((1, 5), 2.0), start, [r])
+    [(_, x)] = PlayColumns.of(np.full((1, 5), 2.0), start, [r]).counted
     plays = np.clip(middle, 2.0 - r, 2.0 + r)
     assert np.array_equal(x, np.repeat(np.append(-np.diff(plays), plays[-1])[:, None], 5, axis=1))
 

@@ -12,7 +12,7 @@ from hammerstein.errors import HammersteinError, InputError
 from hammerstein.identification.identify import from_last_rest, identify
 from hammerstein.identification.score import score
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.initial_state import judged_starts, own_starts
+from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.records.reading import read_records
 from hammerstein.records.record import Record
 
@@ -105,8 +105,7 @@ def _errors(fit, record):
     simpler = [one.predict for one in fit.candidates.values() if one is not kept]
     begun = judged_starts(ready, kept.predict, kept.settle_s, simpler=simpler, slow_s=kept.slow_s)
     return {
-        name: score(one, ready, own_starts(ready, begun, one.predict, slow_s=one.slow_s)).rms_um
-        for name, one in fit.candidates.items()
+        name: score(one, ready, one.own_starts(ready, begun)).rms_um for name, one in fit.candidates.items()
     }
 
 

@@ -5,8 +5,7 @@ import numpy as np
 from hammerstein.blocks.instrument_kernels import converted
 from hammerstein.compiled import compiled
 from hammerstein.dynamics.path_kernel import linear_step
-from hammerstein.hysteresis.busy_kernels import BUSY, GROUP
-from hammerstein.hysteresis.play_kernels import load, plays_of, respond_block, stack_of
+from hammerstein.hysteresis.play_kernels import BUSY, GROUP, load, plays_of, respond_block, stack_of
 
 # Columns of the controller's memory, a row an output: the last reference, what the sensor should read, the
 # integral, the last error, and the correction for the next sample.

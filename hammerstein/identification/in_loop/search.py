@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -141,24 +141,12 @@ GAINED = 1e-5
 """Relative decrease of the sum of squares that a step needs; less is rounding."""
 
 
-class Adjustable(Protocol):
-    """Kind of hysteresis with free parameters, scaled so that 1 is a large change."""
-
-    @property
-    def free(self) -> Array:
-        """Free parameters (number,)."""
-        ...
-
-    def at(self, free: Array) -> Any:
-        """Return the kind with other parameters."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
     """Feedback block with the fitted entries of its matrices.
 
-    block : its hysteresis is ``Adjustable``; the weights stay fixed, because E scales their output
+    block : its hysteresis has ``free`` numbers, scaled so that 1 is a large change, and is the same ``at``
+        others; the weights stay fixed, because E scales their output
     entries : matrix names, A to G, and the free entries of each
     """
 
@@ -168,7 +156,7 @@ class OpenLoop:
     def vector(self) -> Array:
         """Return all free parameters (number,): entries, then those of the kind."""
         own = [getattr(self.block, name)[free] for name, free in self.entries.items()]
-        return np.concatenate([*own, cast(Adjustable, self.block.hysteresis).free])
+        return np.concatenate([*own, cast(Any, self.block.hysteresis).free])
 
     def at(self, vector: Array) -> OpenLoop:
         """Return the block with this ``vector``."""
@@ -177,7 +165,7 @@ class OpenLoop:
             matrix = getattr(self.block, name).copy()
             matrix[free] = vector[first : (first := first + int(free.sum()))]
             found[name] = matrix
-        gamma = cast(Adjustable, self.block.hysteresis).at(vector[first:])
+        gamma = cast(Any, self.block.hysteresis).at(vector[first:])
         return replace(self, block=replace(self.block, hysteresis=gamma, **found))
 
     def error(self, period: SettledPeriod) -> Array:

@@ -140,9 +140,9 @@ def _samples_per_half_cycle(records: Sequence[Record], k: int) -> float:
 def closed_form(
     u_cycle_v: ArrayLike,
     y_cycle_um: ArrayLike,
-    operators: int | Sequence[int] = 15,
+    operators: int = 15,
     *,
-    thresholds_v: Array | Sequence[ArrayLike] | None = None,
+    thresholds_v: Sequence[ArrayLike] | None = None,
 ) -> list[Pair]:
     """Closed-form thresholds and weights from one driven input to every output.
 
@@ -158,9 +158,9 @@ def closed_form(
     u_cycle_v : (sample,) one settled cycle of the driven input [V], evenly sampled, starting anywhere, with
         one rise and one fall
     y_cycle_um : (output, sample) the outputs over the same cycle [um]
-    operators : number of operators, one for all outputs or one for each; the thresholds are then uniform in
-        time, and the points are samples of the record, as in the paper
-    thresholds_v : (operator,) thresholds [V], or one array for each output, instead of their number
+    operators : number of operators; the thresholds are then uniform in time, and the points are samples of
+        the record, as in the paper
+    thresholds_v : (operator,) thresholds of each output [V] instead of their number
 
     Returns
     -------
@@ -176,18 +176,16 @@ def closed_form(
     >>> from hammerstein.hysteresis import PrandtlIshlinskii
     >>> u = 4.0 * np.sin(2.0 * np.pi * np.arange(200) / 100)
     >>> y, _ = PrandtlIshlinskii([[Pair([0.5, 2.0], [3.0, 1.0])]]).respond([u])
-    >>> pair = closed_form(u[100:], y[:, 100:], thresholds_v=[0.5, 2.0])[0]
+    >>> pair = closed_form(u[100:], y[:, 100:], thresholds_v=[[0.5, 2.0]])[0]
     >>> bool(np.allclose(pair.weights_um_per_v, [3.0, 1.0], atol=1e-12))
     True
     """
     u, y = rising_branch(u_cycle_v, y_cycle_um)
-    p = len(y)
-    half = 0.5 * np.size(u_cycle_v)
     if thresholds_v is None:
-        counts = [operators] * p if isinstance(operators, int) else list(operators)
-        _refuse_lengths("operators", len(counts), p)
-        return [_at_nodes(u, row, nodes_uniform_in_time(n, half)) for n, row in zip(counts, y, strict=True)]
-    return [_at_thresholds(u, row, r) for r, row in zip(_one_each(thresholds_v, p), y, strict=True)]
+        nodes = nodes_uniform_in_time(operators, 0.5 * np.size(u_cycle_v))
+        return [_at_nodes(u, row, nodes) for row in y]
+    grids = [np.asarray(r, dtype=np.float64) for r in thresholds_v]
+    return [_at_thresholds(u, row, r) for r, row in zip(grids, y, strict=True)]
 
 
 def rising_branch(u_cycle_v: ArrayLike, y_cycle_um: ArrayLike) -> tuple[Array, Array]:
@@ -240,22 +238,6 @@ def _at_thresholds(u: Array, y: Array, r: Array) -> Pair:
 def _solved(r: Array, b: Array, y: Array) -> Pair:
     matrix = np.maximum(b[:, None] - 2.0 * r, 0.0)
     return Pair(r, solve_triangular(matrix, y, lower=True))
-
-
-def _one_each(thresholds_v: Array | Sequence[ArrayLike], p: int) -> list[Array]:
-    """Thresholds of every output, from one array for all or one for each."""
-    grids = [np.asarray(r, dtype=np.float64) for r in thresholds_v]
-    if all(grid.ndim == 0 for grid in grids):
-        return [np.array(grids)] * p
-    _refuse_lengths("thresholds_v", len(grids), p)
-    return grids
-
-
-def _refuse_lengths(name: str, given: int, wanted: int) -> None:
-    if given != wanted:
-        raise IdentificationError(
-            f"{name} has {given} entries for {wanted} outputs; give one for all or one for each"
-        )
 
 
 SAME_AMPLITUDE = 0.02

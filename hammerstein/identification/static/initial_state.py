@@ -105,24 +105,12 @@ def judged_starts(
     return tuple(_judged(record, predict, settle_s, mode, simpler, slow_s) for record in records)
 
 
-def own_starts(
-    records: Sequence[Record],
-    starts: Sequence[InitialState],
-    predict: Predict,
-    mode: InitialStateMode = "auto",
-    slow_s: float = 0.0,
-) -> tuple[InitialState, ...]:
-    """Initial state of each record for one model, on the samples that count for all models.
+def own_start(record: Record, start: InitialState, predict: Predict, slow_s: float = 0.0) -> InitialState:
+    """Initial state of a record for one model, on the samples that count for all models.
 
-    starts : as another model explains the records best; predict : readings that the model predicts
+    start : as another model explains the record best; predict : readings that the model predicts
     slow_s : as for ``judged_starts``
     """
-    if mode != "auto":
-        return tuple(starts)
-    return tuple(_own(record, start, predict, slow_s) for record, start in zip(records, starts, strict=True))
-
-
-def _own(record: Record, start: InitialState, predict: Predict, slow_s: float) -> InitialState:
     if record.period_samples is not None or (start.kind == "repeated" and closed(record)):
         return start
     choices = dict.fromkeys([start, *(replace(_of_kind(kind, record), first=start.first) for kind in KINDS)])

@@ -77,29 +77,6 @@ def delayed(record: Record, start: InitialState, samples: int) -> Array:
     return u
 
 
-def regressor_blocks(
-    u_v: Array,
-    start: InitialState,
-    grids: Sequence[Array],
-    filters: Sequence[Filter] = (),
-    *,
-    with_derivatives: bool = False,
-) -> Iterator[tuple[int, Array]]:
-    """First sample and regressors (column, sample) of each block of a record, from ``start.first`` on.
-
-    Parameters
-    ----------
-    u_v : (input, sample) voltages [V]
-    start : what went before
-    grids : thresholds of each input [V]; the columns follow them, input by input
-    filters : linear blocks that respond to all columns; their outputs, one block below the other, take the
-        place of the columns
-    with_derivatives : whether the derivatives of the plays by their thresholds follow as further columns,
-        input by input: -1 after a play was last moved upwards, 1 after downwards, 0 before it was moved
-    """
-    return behind_filters(PlayColumns.of(u_v, start, grids, with_derivatives), start, filters)
-
-
 class PlayColumns(NamedTuple):
     """Columns of one record before any filter, in blocks: computed on demand, or kept.
 
@@ -116,7 +93,16 @@ class PlayColumns(NamedTuple):
     def of(
         cls, u_v: Array, start: InitialState, grids: Sequence[Array], with_derivatives: bool = False
     ) -> PlayColumns:
-        """Columns that are computed on demand, those before the record first."""
+        """Columns that are computed on demand, those before the record first.
+
+        Parameters
+        ----------
+        u_v : (input, sample) voltages [V]
+        start : what went before
+        grids : thresholds of each input [V]; the columns follow them, input by input
+        with_derivatives : whether the derivatives of the plays by their thresholds follow as further columns,
+            input by input: -1 after a play was last moved upwards, 1 after downwards, 0 before it was moved
+        """
         plays = [played(path, grid) for path, grid in zip(start.path_v(u_v), grids, strict=True)]
         signs = _first_signs(u_v, plays, grids) if with_derivatives else None
         held = _held(plays, signs)
@@ -144,7 +130,11 @@ class PlayColumns(NamedTuple):
 def behind_filters(
     columns: PlayColumns, start: InitialState, filters: Sequence[Filter]
 ) -> Iterator[tuple[int, Array]]:
-    """First sample and rows of each block from ``start.first`` on; see ``regressor_blocks``."""
+    """First sample and rows (row, sample) of each block from ``start.first`` on.
+
+    filters : linear blocks that respond to all columns; their outputs, one block below the other, take the
+        place of the columns
+    """
     states = [block.settled(columns.held) for block in filters]
     for x in columns.before:
         _filtered(x, filters, states)
