@@ -4,13 +4,13 @@ import numpy as np
 
 from hammerstein.dynamics import StaticDynamics
 from hammerstein.identification.columns import chosen_columns
+from hammerstein.identification.fit import Task
 from hammerstein.identification.kinds import driven_of
 from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.task import Task
 
 
 def task_of(kind, records, *, grids=None, starts=(), delay_samples=0, **options):

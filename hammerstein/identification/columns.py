@@ -13,6 +13,7 @@ from hammerstein.dynamics import Dynamics
 from hammerstein.hysteresis import Hysteresis
 from hammerstein.hysteresis.identifiable import Driven, Identifiable
 from hammerstein.identification.excitation import fastest_rad_per_s, rates_of_input
+from hammerstein.identification.fit import Task
 from hammerstein.identification.linear.axis_task import duration_s
 from hammerstein.identification.model_selection import CURVE_SAMPLES, moments_of_output
 from hammerstein.identification.options import identifiable_kinds
@@ -24,7 +25,6 @@ from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, left_out, ridge_penalty
 from hammerstein.identification.static.static_block import SlopeColumns, Thresholds, swing_ends
 from hammerstein.identification.static.threshold_search import price
-from hammerstein.identification.task import Task
 
 T = TypeVar("T")
 

@@ -13,7 +13,7 @@ from hammerstein.dynamics import AxesDynamics, StateSpaceDynamics
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.hysteresis.asymmetric import PLAYS_ALONE
 from hammerstein.identification.excitation import excitation_statements
-from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
+from hammerstein.identification.fit import KIND_NAMES, CandidateSet, Fit, FittedModel, Kind, Task
 from hammerstein.identification.linear.axis_fit import SURE_CREEP, UNSURE_LAG_PERCENT, AxisFit
 from hammerstein.identification.model_selection import IMPROVED, NO_BETTER, CurvePoint, Trial, lowers
 from hammerstein.identification.options import PLAYS
@@ -30,7 +30,6 @@ from hammerstein.identification.score import Candidate, Score, invertibility_of,
 from hammerstein.identification.search import delay_in_samples
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import half_swing
-from hammerstein.identification.task import CandidateSet, FittedModel, Task
 from hammerstein.model import HammersteinModel
 from hammerstein.model.covariance import ParameterCovariance
 from hammerstein.quantities import by_key, interval

@@ -15,7 +15,7 @@ from hammerstein.identification.excitation import (
     responses,
     voltages_of,
 )
-from hammerstein.identification.fit import KIND_NAMES, Fit, Kind
+from hammerstein.identification.fit import KIND_NAMES, CandidateSet, Fit, FittedModel, Kind, Progress, Task
 from hammerstein.identification.fit_report import Prepared, fit_of, model_of
 from hammerstein.identification.initialisation import first_task
 from hammerstein.identification.kinds import with_hysteresis
@@ -28,7 +28,6 @@ from hammerstein.identification.settings import Settings
 from hammerstein.identification.state_space_candidates import build_state_space
 from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.identification.static.regressors import InitialState
-from hammerstein.identification.task import CandidateSet, FittedModel, Progress, Task
 from hammerstein.model import HammersteinModel
 from hammerstein.records.gains import refuse_swapped
 from hammerstein.records.record import Record, begins_at_rest, dead_start

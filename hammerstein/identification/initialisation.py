@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hammerstein.dynamics import StaticDynamics
+from hammerstein.identification.fit import Progress, Task
 from hammerstein.identification.linear.axis_fit import ROUGHLY, refine, thinning
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, parameters_of
 from hammerstein.identification.model_selection import (
@@ -38,7 +39,6 @@ from hammerstein.identification.static.static_block import (
     solve_static,
     static_moments,
 )
-from hammerstein.identification.task import Progress, Task
 from hammerstein.records.record import Record
 
 DELAY_OPERATORS = 15
@@ -86,9 +86,8 @@ class _FirstModels:
         parts = []
         for i, (record, start) in enumerate(zip(task.records, task.starts, strict=True)):
             if (i, start) not in self.gathered:
-                path = paths[i] if paths else None
                 self.gathered[i, start] = static_moments(
-                    [record], layout.grids, [start], task.whole_delay, path
+                    [record], layout.grids, [start], task.whole_delay, paths[i : i + 1]
                 )
             parts.append(self.gathered[i, start])
         moments = [pooled(part) for part in zip(*parts, strict=True)]

@@ -14,7 +14,7 @@ from hammerstein.hysteresis import Hysteresis, PrandtlIshlinskii
 from hammerstein.hysteresis.identifiable import Identifiable
 from hammerstein.identification.columns import NEAR, chosen_columns, driven_of, error_left_out, few_places
 from hammerstein.identification.excitation import several_rates
-from hammerstein.identification.fit import Kind
+from hammerstein.identification.fit import CandidateSet, FittedModel, Kind, Task, thresholds_of
 from hammerstein.identification.initialisation import creeping_starts
 from hammerstein.identification.linear.axis_task import parameters_of as axis_parameters
 from hammerstein.identification.model_selection import Trial, chosen, enough_readings, lowers, trial_of
@@ -41,7 +41,6 @@ from hammerstein.identification.static.initial_state import (
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import Thresholds
 from hammerstein.identification.static.threshold_search import price
-from hammerstein.identification.task import CandidateSet, FittedModel, Task, thresholds_of
 
 WITHOUT_PLAYS = ("linear", "linear_dynamics")
 MOST_TURNS = 4

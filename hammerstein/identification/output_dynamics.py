@@ -15,6 +15,7 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, Axis
 from hammerstein.hysteresis import Hysteresis
+from hammerstein.identification.fit import Task
 from hammerstein.identification.linear.axis_fit import (
     CREEP_SPANS,
     LAG_SAMPLES,
@@ -42,7 +43,6 @@ from hammerstein.identification.model_selection import FELT, lowers
 from hammerstein.identification.score import columns_of
 from hammerstein.identification.search import TINY, best_delay
 from hammerstein.identification.static.regressors import Regressors
-from hammerstein.identification.task import Task
 
 MOST_CREEP = 3
 """Largest number of slow modes of an axis with ``auto``."""

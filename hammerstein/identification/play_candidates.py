@@ -13,7 +13,15 @@ from hammerstein.dynamics import AxesDynamics, Axis, Dynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
 from hammerstein.identification.columns import driven_of
-from hammerstein.identification.fit import Kind
+from hammerstein.identification.fit import (
+    CandidateSet,
+    FittedModel,
+    Kind,
+    Progress,
+    Task,
+    WeightFits,
+    thresholds_of,
+)
 from hammerstein.identification.linear.axis_fit import AxisFit, fit_axis, thinning
 from hammerstein.identification.linear.axis_task import AxisTask, axis_of, parameters_of
 from hammerstein.identification.model_selection import CURVE_SAMPLES, FELT, lowers
@@ -46,14 +54,6 @@ from hammerstein.identification.static.threshold_search import (
     criterion,
     fit_thresholds,
     gained,
-)
-from hammerstein.identification.task import (
-    CandidateSet,
-    FittedModel,
-    Progress,
-    Task,
-    WeightFits,
-    thresholds_of,
 )
 from hammerstein.records.record import Record
 
@@ -117,7 +117,7 @@ def late_static(task: Task) -> Task:
     sensor = replace(task, records=few).paths(StaticDynamics(n_outputs=task.outputs))
 
     def attempt(delay: float, _: None) -> tuple[list[float], None]:
-        known: dict[str, Any] = {"starts": begun, "delay_samples": round(delay), "through": sensor or None}
+        known: dict[str, Any] = {"starts": begun, "delay_samples": round(delay), "through": sensor}
         return fit_static(few, task.thresholds_v, solver="least_squares", **known).rms_um.tolist(), None
 
     return replace(task, delay_samples=best_delay(attempt, None)[0])
@@ -127,9 +127,7 @@ def static_blocks(task: Task, thresholds_v: Thresholds, dynamics: Dynamics, solv
     """Weights by the requested solver, and by two others for comparison."""
     layout = SlopeColumns.of(thresholds_v)
     refuse_unreached(task.records, layout.grids)
-    moments = static_moments(
-        task.records, layout.grids, task.starts, task.whole_delay, task.paths(dynamics) or None
-    )
+    moments = static_moments(task.records, layout.grids, task.starts, task.whole_delay, task.paths(dynamics))
 
     def solved(how: SquaresSolver) -> StaticFit:
         return solve_static(task.records, thresholds_v, layout, moments, how, task.settings.ridge)

@@ -28,6 +28,7 @@ from hammerstein.hysteresis import Hysteresis, WeightCovariance
 from hammerstein.hysteresis.identifiable import Driven, Identifiable, mean_slopes
 from hammerstein.hysteresis.kind import slopes_of
 from hammerstein.hysteresis.pair import triangle
+from hammerstein.identification.fit import Task
 from hammerstein.identification.linear.axis_fit import thinning
 from hammerstein.identification.linear.axis_task import AxisShape, AxisTask, ByColumn, axis_of, parameters_of
 from hammerstein.identification.output_dynamics import OutputDynamics
@@ -45,7 +46,6 @@ from hammerstein.identification.static.normal_equations import (
 )
 from hammerstein.identification.static.regressors import Regressors, SideBySide
 from hammerstein.identification.static.static_block import LEAST_SLOPE, direct_pairs
-from hammerstein.identification.task import Task
 
 SEARCH_SAMPLES = 20_000
 """Samples of all records together with which the first guesses are tried."""

@@ -10,12 +10,12 @@ import numpy as np
 from hammerstein.arrays import Array
 from hammerstein.dynamics import AxesDynamics, StaticDynamics
 from hammerstein.identification.excitation import is_noise
+from hammerstein.identification.fit import CandidateSet, Task
 from hammerstein.identification.options import PLAYS
 from hammerstein.identification.score import AT_REST, Candidate, Score, ranges
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import StaticFit, direct_pairs, half_swing
-from hammerstein.identification.task import CandidateSet, Task
 from hammerstein.records.faults import BENT_EXPLAINS, Fault, faults, hump
 from hammerstein.records.record import Record, begins_at_rest, dead_start, driven_inputs
 from hammerstein.records.turning_points import noise_rms, turning_points

@@ -14,7 +14,7 @@ from hammerstein.arrays import Array, Complex
 from hammerstein.dynamics import LinearBlock, StateSpaceDynamics, StaticDynamics
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import PrandtlIshlinskii
-from hammerstein.identification.fit import Kind
+from hammerstein.identification.fit import CandidateSet, FittedModel, Kind, Task, WeightFits
 from hammerstein.identification.linear.frequency_response import measured_response
 from hammerstein.identification.linear.state_space import fit_state_space
 from hammerstein.identification.model_selection import FELT, lowers
@@ -34,7 +34,6 @@ from hammerstein.identification.static.static_block import (
     refuse_unreached,
     ridge_of,
 )
-from hammerstein.identification.task import CandidateSet, FittedModel, Task, WeightFits
 from hammerstein.records.record import Record
 
 

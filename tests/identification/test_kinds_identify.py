@@ -16,6 +16,7 @@ from hammerstein.dynamics import StaticDynamics
 from hammerstein.errors import InputError
 from hammerstein.hysteresis import Asymmetric, DeadZones, Pair, PrandtlIshlinskii
 from hammerstein.identification import kinds
+from hammerstein.identification.fit import Task
 from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import FittedBlock, HammersteinFit, trials_of
 from hammerstein.identification.output_dynamics import OutputDynamics
@@ -23,7 +24,6 @@ from hammerstein.identification.score import Candidate
 from hammerstein.identification.search import MOST_DELAY
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import judged_starts
-from hammerstein.identification.task import Task
 from hammerstein.records.record import Record
 
 SEED = 16

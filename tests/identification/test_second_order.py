@@ -14,6 +14,7 @@ from theory_linear import second_order_step
 from hammerstein.dynamics import AxesDynamics, Axis, CreepMode, StaticDynamics, discretise
 from hammerstein.identification import play_candidates
 from hammerstein.identification.excitation import several_rates
+from hammerstein.identification.fit import Task
 from hammerstein.identification.fit_report import axis_statements
 from hammerstein.identification.identify import identify
 from hammerstein.identification.linear import axis_fit
@@ -26,7 +27,6 @@ from hammerstein.identification.search import _part_of_a_sample
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import fit_static
-from hammerstein.identification.task import Task
 from hammerstein.model import HammersteinModel
 from hammerstein.records.record import Record
 from hammerstein.signals import Multisine, Sine
@@ -110,7 +110,7 @@ def test_resonance_damping_and_weights_come_back_from_noisy_sines():
         assert axis.rms_um == pytest.approx(0.04, rel=0.05)
         assert axis.static_rms_um > 5.0
     through = discretise(fit.dynamics, T, SENSOR_HZ)
-    static = fit_static(records, [[R] * 2] * 2, through=through)
+    static = fit_static(records, [[R] * 2] * 2, through=[through] * len(records))
     found = np.array([[pair.weights_um_per_v for pair in row] for row in static.hysteresis.pairs])
     assert np.abs(found - W).max() < 0.01
 

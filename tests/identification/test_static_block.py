@@ -224,7 +224,7 @@ def test_weights_behind_a_linear_block_come_back():
     u = random_walk(generator, 2)
     v = theory.prandtl_ishlinskii(u, thresholds, weights)
     lagging = Record(u, lfilter([0.1], [1.0, -0.9], v), 1e-3, verified=True)
-    fit = fit_static([lagging], thresholds, solver="least_squares", through=one_pole(0.9))
+    fit = fit_static([lagging], thresholds, solver="least_squares", through=[one_pole(0.9)])
     assert worst(fit.hysteresis, weights) < 1e-8
     assert fit_static([lagging], thresholds, solver="least_squares").rms_um[0] > 0.1
 
@@ -247,7 +247,7 @@ def test_a_block_that_couples_the_outputs_is_refused():
     coupled = LinearBlock(np.array([[0.5]]), np.ones((1, 2)), np.ones((2, 1)), np.zeros((2, 2)), 1e-3)
     record = record_of(random_walk(np.random.default_rng(8), 2), [[[0.0]] * 2] * 2, [[[1.0]] * 2] * 2)
     with pytest.raises(IdentificationError, match="couples the outputs"):
-        fit_static([record], [[np.zeros(1)] * 2] * 2, through=coupled)
+        fit_static([record], [[np.zeros(1)] * 2] * 2, through=[coupled])
 
 
 def test_what_the_records_cannot_tell_is_refused_by_name():

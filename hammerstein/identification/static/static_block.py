@@ -105,7 +105,7 @@ def fit_static(
     solver: SquaresSolver = "invertible",
     starts: Sequence[InitialState] = (),
     delay_samples: int = 0,
-    through: LinearBlock | Sequence[LinearBlock] | None = None,
+    through: Sequence[LinearBlock] = (),
     ridge: float = 0.0,
 ) -> StaticFit:
     """Least-squares weights of all inputs and outputs from several records.
@@ -124,8 +124,8 @@ def fit_static(
         pair's mean slope, weights may be negative
     starts : initial state of each record; rest if not given
     delay_samples : delay of the outputs in samples
-    through : linear block behind the static one with p inputs, one for all records or one each; its last p
-        outputs are the readings
+    through : linear block of each record behind the static one, with p inputs; its last p outputs are the
+        readings; empty if there is none
     ridge : penalty of the weights but the first, relative to the power of the plays
 
     Raises
@@ -153,7 +153,7 @@ def static_moments(
     grids: Sequence[Array],
     starts: Sequence[InitialState],
     delay_samples: int = 0,
-    through: LinearBlock | Sequence[LinearBlock] | None = None,
+    through: Sequence[LinearBlock] = (),
     *,
     with_derivatives: bool = False,
     every: int = 1,
@@ -166,7 +166,6 @@ def static_moments(
     that rest in a record.
     """
     p, sizes = len(records[0].y_um), [len(grid) for grid in grids]
-    blocks = [through] * len(records) if isinstance(through, LinearBlock) else through or ()
     # records that drive the same inputs are summed first: another order rounds otherwise, and a search of
     # thresholds may then take another way
     alike: dict[tuple[bool, ...], list[list[Moments]]] = {}
@@ -174,7 +173,7 @@ def static_moments(
         moves = tuple(not driven or _is_driven(u, start) for u in record.u_v)
         own = [grid if moved else grid[:0] for grid, moved in zip(grids, moves, strict=True)]
         plays = partial(PlayColumns.of, delayed(record, start, delay_samples), start, own, with_derivatives)
-        filters = [path_filters(blocks, i, o, p) for o in range(p)]
+        filters = [path_filters(through, i, o, p) for o in range(p)]
         held = np.tile(np.repeat(moves, sizes), 1 + with_derivatives)
         alike.setdefault(moves, []).append(record_moments(record, start, plays, filters, held, every))
     parts = [[pooled(part) for part in zip(*own, strict=True)] for own in alike.values()]
