@@ -23,7 +23,7 @@ from hammerstein.blocks.voltages import Voltages
 from hammerstein.dynamics import AxesDynamics, Axis, StaticDynamics
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.hysteresis import PrandtlIshlinskii
-from hammerstein.identification.linear.axis_fit import fit_creep
+from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.static.closed_form import closed_form
 from hammerstein.metrics import settled_cycle
 from hammerstein.model import HammersteinModel

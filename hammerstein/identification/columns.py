@@ -20,10 +20,9 @@ from hammerstein.identification.options import identifiable_kinds
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.projection import ROUGHLY, BlockFit, fit_block
 from hammerstein.identification.score import ranges
-from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import Moments, coefficients, left_out, ridge_penalty
-from hammerstein.identification.static.static_block import SlopeColumns, Thresholds, swing_ends
+from hammerstein.identification.static.static_block import SlopeColumns, Thresholds, input_grids, swing_ends
 from hammerstein.identification.static.threshold_search import price
 
 T = TypeVar("T")

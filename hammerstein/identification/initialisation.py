@@ -20,7 +20,6 @@ from hammerstein.identification.play_candidates import guess_of, late_static
 from hammerstein.identification.score import Candidate
 from hammerstein.identification.search import TINY
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.initial_state import (
     ENDS,
     TURN_WORTH,
@@ -35,6 +34,7 @@ from hammerstein.identification.static.normal_equations import Moments, pooled
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import (
     SlopeColumns,
+    input_grids,
     refuse_unreached,
     solve_static,
     static_moments,

@@ -19,7 +19,6 @@ from hammerstein.dynamics import (
 )
 from hammerstein.identification.options import Partition
 from hammerstein.identification.score import Candidate, columns_of, ranges
-from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.initial_state import shortened
 from hammerstein.identification.static.normal_equations import (
     FOLDS,
@@ -39,7 +38,7 @@ from hammerstein.identification.static.regressors import (
     behind_filters,
     delayed,
 )
-from hammerstein.identification.static.static_block import path_filters
+from hammerstein.identification.static.static_block import input_grids, path_filters
 from hammerstein.records.record import Record
 
 FELT = 0.02

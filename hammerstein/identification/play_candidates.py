@@ -35,7 +35,7 @@ from hammerstein.identification.projection import fit_block
 from hammerstein.identification.score import SensorModel, invertibility_of
 from hammerstein.identification.search import TINY, best_delay
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.closed_form import closed_form_model, input_grids
+from hammerstein.identification.static.closed_form import closed_form_model
 from hammerstein.identification.static.initial_state import closed, most_dynamic_segment, shortened
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.identification.static.static_block import (
@@ -45,6 +45,7 @@ from hammerstein.identification.static.static_block import (
     Thresholds,
     fit_static,
     half_swing,
+    input_grids,
     refuse_unreached,
     solve_static,
     static_moments,

@@ -18,7 +18,7 @@ from hammerstein.identification.options import (
     Partition,
 )
 from hammerstein.identification.score import SensorModel
-from hammerstein.identification.static.closed_form import input_grids
+from hammerstein.identification.static.static_block import input_grids
 from hammerstein.records.record import Record
 
 

@@ -290,8 +290,8 @@ def test_micromanipulator(delay, fitted, held_back, plays):
 
     They hold for the number of plays that is found and for others: nothing hangs on one.
     """
-    from hammerstein.identification.static.closed_form import input_grids
     from hammerstein.identification.static.regressors import delayed
+    from hammerstein.identification.static.static_block import input_grids
 
     def read(name):
         table = np.loadtxt(DBO / name)

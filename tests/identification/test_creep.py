@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from hammerstein.errors import IdentificationError
 from hammerstein.identification.identify import identify
-from hammerstein.identification.linear.axis_fit import fit_creep
+from hammerstein.identification.linear.creep import fit_creep
 from hammerstein.identification.settings import Settings
 from hammerstein.records.record import Record
 

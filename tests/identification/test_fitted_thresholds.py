@@ -14,9 +14,8 @@ from hammerstein.errors import InputError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
 from hammerstein.identification.identify import identify
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.regressors import BLOCK, InitialState, PlayColumns
-from hammerstein.identification.static.static_block import fit_static
+from hammerstein.identification.static.static_block import fit_static, input_grids
 from hammerstein.identification.static.threshold_search import (
     ThresholdTask,
     _sweep,

@@ -13,7 +13,6 @@ from hammerstein.errors import IdentificationError
 from hammerstein.identification.identify import identify
 from hammerstein.identification.model_selection import CurvePoint, enough_operators, error_curve
 from hammerstein.identification.settings import Settings
-from hammerstein.identification.static.closed_form import input_grids
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     coefficients,
@@ -29,7 +28,7 @@ from hammerstein.identification.static.regressors import (
     SideBySide,
     channel,
 )
-from hammerstein.identification.static.static_block import direct_pairs, fit_static
+from hammerstein.identification.static.static_block import direct_pairs, fit_static, input_grids
 from hammerstein.records.record import Record
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (2, 2), (2, 3), (3, 2), (3, 3)]

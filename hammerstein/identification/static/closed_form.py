@@ -1,4 +1,4 @@
-"""Thresholds for given records, and weights from one settled loop in closed form (paper, appendix).
+"""Weights of a Prandtl-Ishlinskii model from one settled loop, in closed form (paper, appendix).
 
 The paper's procedure on measured records: one settled loop of each input, then the closed form.
 """
@@ -13,8 +13,6 @@ from scipy.linalg import solve_triangular
 from hammerstein.arrays import Array, Indices
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii
-from hammerstein.identification.options import Partition
-from hammerstein.identification.static.static_block import half_swing
 from hammerstein.records.record import Record, driven_inputs
 from hammerstein.records.turning_points import Excursion, find_cycles
 
@@ -96,45 +94,6 @@ def thresholds_uniform_in_voltage(amplitude_v: float, operators: int) -> Array:
 def _refuse_count(operators: int) -> None:
     if operators < 1:
         raise IdentificationError(f"{operators} operators are not a model; use at least one")
-
-
-FINE = 1000
-"""Samples a node where the records have no cycle: the partition's limit for many samples."""
-
-
-def input_grids(records: Sequence[Record], operators: int, partition: Partition = "time") -> list[Array]:
-    """Thresholds of each input [V], up to half the largest swing in the records.
-
-    Parameters
-    ----------
-    records : voltages and displacements
-    operators : number of thresholds of every input
-    partition : ``time``: uniform in the time of a sine of the records' slowest cycle, as in the paper;
-        ``voltage``: uniform in the voltage, from 0; ``fitted``: what the fit begins with, as ``time``
-    """
-    grids = []
-    for k, reach in enumerate(half_swing(records)):
-        if reach == 0.0:
-            grids.append(np.empty(0))
-        elif operators == 1:
-            grids.append(np.zeros(1))
-        elif partition == "voltage":
-            grids.append(thresholds_uniform_in_voltage(reach, operators))
-        else:
-            half = _samples_per_half_cycle(records, k)
-            samples = half if half >= 2 * (operators + 1) else float(FINE * (operators + 1))
-            grids.append(thresholds_uniform_in_time(reach, operators, samples)[0])
-    return grids
-
-
-def _samples_per_half_cycle(records: Sequence[Record], k: int) -> float:
-    """Half the length of the slowest cycle of one input [samples]; 0 if there is none."""
-    halves = [0.0]
-    for record in records:
-        if k in driven_inputs(record):
-            cycles = [e.stop - e.start for e in find_cycles(record.u_v[k]).excursions if not e.minor]
-            halves += [0.5 * float(np.median(cycles))] if cycles else []
-    return max(halves)
 
 
 def closed_form(

@@ -1,4 +1,4 @@
-"""Weights of the static block from records of any kind, by linear least squares."""
+"""Thresholds for given records, and weights of the static block by linear least squares."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ from hammerstein.dynamics import LinearBlock
 from hammerstein.errors import IdentificationError
 from hammerstein.hysteresis import Pair, PrandtlIshlinskii, WeightCovariance
 from hammerstein.hysteresis.pair import triangle
+from hammerstein.identification.options import Partition
+from hammerstein.identification.static.closed_form import (
+    thresholds_uniform_in_time,
+    thresholds_uniform_in_voltage,
+)
 from hammerstein.identification.static.normal_equations import (
     Bounds,
     Moments,
@@ -35,7 +40,8 @@ from hammerstein.identification.static.regressors import (
     channel,
     delayed,
 )
-from hammerstein.records.record import Record
+from hammerstein.records.record import Record, driven_inputs
+from hammerstein.records.turning_points import find_cycles
 
 Thresholds = Sequence[Sequence[Array]]
 SquaresSolver = Literal["least_squares", "nonnegative", "invertible"]
@@ -414,3 +420,42 @@ def _whitened(gram: Array) -> Array:
     values, vectors = np.linalg.eigh(scale[:, None] * gram * scale)
     kept = values > WHITENED * max(values.max(initial=0.0), np.finfo(float).tiny)
     return np.asarray(scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))
+
+
+FINE = 1000
+"""Samples a node where the records have no cycle: the partition's limit for many samples."""
+
+
+def input_grids(records: Sequence[Record], operators: int, partition: Partition = "time") -> list[Array]:
+    """Thresholds of each input [V], up to half the largest swing in the records.
+
+    Parameters
+    ----------
+    records : voltages and displacements
+    operators : number of thresholds of every input
+    partition : ``time``: uniform in the time of a sine of the records' slowest cycle, as in the paper;
+        ``voltage``: uniform in the voltage, from 0; ``fitted``: what the fit begins with, as ``time``
+    """
+    grids = []
+    for k, reach in enumerate(half_swing(records)):
+        if reach == 0.0:
+            grids.append(np.empty(0))
+        elif operators == 1:
+            grids.append(np.zeros(1))
+        elif partition == "voltage":
+            grids.append(thresholds_uniform_in_voltage(reach, operators))
+        else:
+            half = _samples_per_half_cycle(records, k)
+            samples = half if half >= 2 * (operators + 1) else float(FINE * (operators + 1))
+            grids.append(thresholds_uniform_in_time(reach, operators, samples)[0])
+    return grids
+
+
+def _samples_per_half_cycle(records: Sequence[Record], k: int) -> float:
+    """Half the length of the slowest cycle of one input [samples]; 0 if there is none."""
+    halves = [0.0]
+    for record in records:
+        if k in driven_inputs(record):
+            cycles = [e.stop - e.start for e in find_cycles(record.u_v[k]).excursions if not e.minor]
+            halves += [0.5 * float(np.median(cycles))] if cycles else []
+    return max(halves)
