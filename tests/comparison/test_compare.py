@@ -326,7 +326,7 @@ def test_a_comparison_without_a_figure_takes_away_that_of_another(
     [
         (("--validate", "a.csv"), "is also a fitted record"),
         (("--dynamics", "quick"), "--dynamics"),
-        (("--operators", "many"), "must be a whole number or a list or 'auto', not 'many'"),
+        (("--operators", "many"), "must be a whole number or 'auto', not 'many'"),
         (("--out", "a.csv"), "a.csv"),
     ],
 )
