@@ -41,6 +41,7 @@ class DriveRange:
     start_v : (m,) voltage before the first sample [V]
     conditioned : False: the actuator rested at the working point and went straight to the start; True: it was
         driven to the highest, then to the lowest voltage, then to the start, so that nothing older counts
+    between_v : these (2, m) lowest and highest voltages, where they are not those of the range [V]
     """
 
     low_v: Array
@@ -48,6 +49,7 @@ class DriveRange:
     working_point_v: Array
     start_v: Array
     conditioned: bool = False
+    between_v: Array | None = None
 
     def __post_init__(self) -> None:
         outside = (self.start_v < self.low_v) | (self.start_v > self.high_v)
@@ -58,21 +60,26 @@ class DriveRange:
                     "range",
                     f"the actuator rests at {self.start_v[k]:g} V on input {k + 1}, outside "
                     f"{self.low_v[k]:g} to {self.high_v[k]:g} V; give a wider range, here and as "
-                    "instruments.drive.range_v of the model",
+                    "instruments.drive.range_v of the model, or a start inside it",
                 )
             raise InputError(
                 "start",
                 f"{self.start_v[k]:g} V of input {k + 1} is outside the range {self.low_v[k]:g} to "
                 f"{self.high_v[k]:g} V; give a start inside it, or another range",
             )
-        if self.conditioned and not np.isfinite(self.span_v).all():
+        if self.conditioned and not np.isfinite(self.conditioning_v).all():
             raise InputError(
                 "conditioning", "needs a finite range, because the actuator is driven to both ends of it"
             )
 
     @classmethod
     def of(
-        cls, given: RangeLike, model: Recorded, start_v: ArrayLike | None = None, conditioned: bool = False
+        cls,
+        given: RangeLike,
+        model: Recorded,
+        start_v: ArrayLike | None = None,
+        conditioned: bool = False,
+        between_v: Array | None = None,
     ) -> DriveRange:
         """Range for a model from N (for -N to N), (low, high), or one of these per input [V].
 
@@ -87,12 +94,17 @@ class DriveRange:
             raise InputError("range", f"{given!r} is neither N for -N to N nor (low, high) in V") from None
         rest = np.array(model.recorded.working_point_v)
         start = rest if start_v is None else np.asarray(start_v, dtype=np.float64)
-        return cls(low, high, rest, start, conditioned)
+        return cls(low, high, rest, start, conditioned, between_v)
 
     @property
     def span_v(self) -> Array:
         """Span of the range (m,) [V]."""
         return np.asarray(self.high_v - self.low_v)
+
+    @property
+    def conditioning_v(self) -> Array:
+        """Lowest and highest voltage (2, m) between which a conditioned actuator was driven [V]."""
+        return np.stack([self.low_v, self.high_v]) if self.between_v is None else self.between_v
 
     @property
     def counted(self) -> tuple[Array, Array]:
@@ -101,7 +113,7 @@ class DriveRange:
 
     def history(self) -> Array:
         """Voltages (m, steps) from rest, which comes first, to the start; relative to the working point."""
-        low, high = self.counted
+        low, high = self.conditioning_v - self.working_point_v
         start, rest = self.start_v - self.working_point_v, np.zeros(len(self.start_v))
         if self.conditioned:
             return np.stack([rest, high, low, start], axis=1)

@@ -310,6 +310,7 @@ def degauss(
     frequency: float = with_help("Frequency of the alternation.", default=10.0, min=1e-3, metavar="HZ"),
     cycles: int = with_help("Periods until the amplitude is zero.", default=40, min=1, max=10_000),
     range_v: RangeWords = None,
+    beyond_records: bool = with_help("Accept voltages beyond the records.", default=False),
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -322,7 +323,8 @@ def degauss(
     from hammerstein.model import HammersteinModel
 
     refuse_output(out, [Path(model)], DRIVE, overwrite)
-    found = degauss_drive(HammersteinModel.load(model), frequency, cycles, Terms(volts("--range", range_v)))
+    terms = Terms(volts("--range", range_v), beyond_records=beyond_records)
+    found = degauss_drive(HammersteinModel.load(model), frequency, cycles, terms)
     write_output(out, found.to_csv(), DRIVE, overwrite)
     if as_json:
         figures = {"before_um": found.before_um.tolist(), "after_um": found.after_um.tolist()}

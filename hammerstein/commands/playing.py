@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hammerstein.arrays import Array
-from hammerstein.compensators.drive_file import AT_REST, DRIVEN_TO, INITIAL_STATE, beyond_records
+from hammerstein.compensators.drive_file import DRIVEN_TO, INITIAL_STATE, beyond_records
 from hammerstein.compensators.path_file import DRIVE_COST, UNWATCHED, Onlooker, PathWork, Tell, drive_csv
 from hammerstein.errors import InputError, Notice, SimulationError
 from hammerstein.escaping import clean
@@ -36,6 +36,7 @@ class Played(NamedTuple):
     response: Response
     with_sensor: bool
     conditioned: bool
+    begins_v: list[float]
 
     def to_csv(self, tell: Tell | None = None) -> str:
         """Text of the file: time, voltages, positions and, with a sensor, readings."""
@@ -46,7 +47,8 @@ class Played(NamedTuple):
         if self.with_sensor:
             groups.append(("reading", "um", self.model.outputs, self.response.reading_um))
         before = "after its highest, then its lowest recorded voltage" if self.conditioned else "at rest"
-        said = f"Response of model {self.source} to these voltages, {before}, at its working point."
+        start = ", ".join(f"{u:.6g} V" for u in self.begins_v)
+        said = f"Response of model {self.source} to these voltages, {before}, from {start}, where it is zero."
         return drive_csv(self.time_s, groups, [said], tell)
 
     def summary(self) -> dict[str, Any]:
@@ -118,18 +120,27 @@ def played(
         warnings.warn(text, Notice, stacklevel=2)
     if conditioned is None:
         conditioned = DRIVEN_TO in start if start else model.recorded.conditioned
-    stands = ", ".join(f"{u:.6g} V on {name}" for name, u in zip(model.inputs, rest_v, strict=True))
-    made_as = f"{INITIAL_STATE}: {stands}, {DRIVEN_TO if conditioned else AT_REST}"
-    if start and not start.startswith(made_as):
+    named = {name: float(volts) for volts, name in re.findall(r"(\S+) V on ([^,]+)", start)}
+    begins = [named.get(name, rest) for name, rest in zip(model.inputs, rest_v, strict=True)]
+    ends = (model.recorded.highest_v, model.recorded.lowest_v)
+    top, low = (", ".join(f"{u:.6g} V" for u in end) for end in ends)
+    made_as = f"{DRIVEN_TO} {top}, then to {low}" if conditioned else "at rest"
+    if start and f", {made_as}" not in start:
         how = "after both ends of the recorded range" if conditioned else "from rest"
-        said = f"{drive_path}: played {how} at the working point, but the drive is not made for that."
+        said = f"{drive_path}: played {how}, but the drive is not made for that."
         warnings.warn(f"{said} {start}", Notice, stacklevel=2)
     beyond = beyond_records(model, u)
     if beyond:
         warnings.warn(f"{drive_path}: {beyond} The positions there are extrapolated.", Notice, stacklevel=2)
     instruments = model.instruments if with_sensor else None
     try:
-        response = model.simulate(u, sample_time_s, instruments=instruments, conditioned=conditioned)
+        response = model.simulate(
+            u,
+            sample_time_s,
+            instruments=instruments,
+            conditioned=conditioned,
+            start_v=None if begins == list(rest_v) else begins,
+        )
     except SimulationError as error:
         raise SimulationError(f"{drive_path}: {error}") from None
-    return Played(model, PurePath(model_path).name, time_s, response, with_sensor, conditioned)
+    return Played(model, PurePath(model_path).name, time_s, response, with_sensor, conditioned, begins)

@@ -109,11 +109,11 @@ def drive_within(model: HammersteinModel, limits: DriveRange) -> Drive:
 
 
 def widened(limits: DriveRange) -> DriveRange | None:
-    """The range with its ends far away; None without ends or with other conditions."""
-    span = WIDER * limits.span_v
-    if limits.conditioned or not np.isfinite(span).all():
+    """The range with its ends far away, after the same history; None without ends."""
+    span, before = WIDER * limits.span_v, limits.conditioning_v
+    if not np.isfinite(span).all():
         return None
-    return replace(limits, low_v=limits.low_v - span, high_v=limits.high_v + span)
+    return replace(limits, low_v=limits.low_v - span, high_v=limits.high_v + span, between_v=before)
 
 
 def sensorless_law(
@@ -451,7 +451,8 @@ class MissedPath(Missed):
         parts, free_v = [], None
         if self.prefix and not self.given:  # the voltages of a jump say nothing
             away = np.abs(self.path_um[:, 0]).max()
-            parts.append(f"the path begins {length(float(away), 3)} um away from the initial position")
+            afar = f"{length(float(away), 3)} um away from the initial position"
+            parts.append(f"the path begins {afar if away > self.own_um.max() else 'in motion'}")
         else:
             free_v = self._free_drive()
         for k in np.flatnonzero(found.at_range.any(axis=1)):

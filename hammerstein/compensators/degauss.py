@@ -73,12 +73,12 @@ def degauss_drive(
     model : m inputs
     frequency_hz : of the oscillation [Hz]; well below the resonance
     cycles : periods in which the amplitude falls to zero, after a first one
-    terms : range
+    terms : range, and whether it may exceed the records
 
     Raises
     ------
     InputError : a range without limits or other options that do not fit
-    SimulationError : the samples do not fit the memory
+    SimulationError : the samples do not fit the memory, or the drive leaves the records
 
     Examples
     --------
@@ -86,7 +86,8 @@ def degauss_drive(
     >>> bool((found.after_um < 0.05 * found.before_um).all()), found.drive_v[:, -1].tolist()
     (True, [0.0, 0.0])
     """
-    limits = (terms or Terms()).allowed_range(model)
+    terms = terms or Terms()
+    limits = terms.allowed_range(model)
     if not np.isfinite(limits.span_v).all():
         raise InputError("--range", "has no ends for the alternation; give LOW,HIGH")
     step = model.instruments.drive.sample_time_s
@@ -100,6 +101,7 @@ def degauss_drive(
     wave = signal.sample(np.maximum(time_s, 0.0), m) * (0.5 * limits.span_v[:, None])
     way = (limits.working_point_v - middle)[:, None] * (1.0 - smooth_step(np.asarray(time_s / LEAD_S + 1.0)))
     drive = middle[:, None] + wave + way
+    terms.refuse_beyond(model, drive)
     ends = (limits.low_v, limits.high_v)
     before, after = (_spread(model, ends, sent) for sent in (middle[:, None], drive))
     return DegaussDrive(model, limits, signal, drive, before, after)

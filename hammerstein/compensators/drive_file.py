@@ -209,7 +209,7 @@ class Compensation(Attempt):
         rest = ", ".join(f"{u:.6g} V" for u in limits.working_point_v)
         text = f"{INITIAL_STATE}: {start}, "
         if limits.conditioned:
-            top, low = (", ".join(f"{u:.6g} V" for u in ends) for ends in (limits.high_v, limits.low_v))
+            low, top = (", ".join(f"{u:.6g} V" for u in ends) for ends in limits.conditioning_v)
             return f"{text}{DRIVEN_TO} {top}, then to {low}, then directly to the start."
         forgotten = FORGOTTEN * (not isinstance(self.model.dynamics, WithLoop))  # whose laws begin at rest
         earlier = f"{EARLIER}{forgotten}." if self.prediction.rest is None else ""
@@ -247,7 +247,7 @@ class Terms:
         range of the records, as far as the model's own drive gives it, if not given
     start_v : voltage of each input before the first row [V]; the working point if not given
     conditioned : whether the actuator was driven to the highest, then to the lowest voltage of the range
-        before it came to the start; if not given, whether the model's records began like that
+        before it came to the start; if not given, to those of the records, where these began like that
     clip : accept a path that is partly out of reach
     beyond_records : accept voltages that the records did not cover
     accept_flagged : accept a model that its own fit report flagged
@@ -315,8 +315,10 @@ class Terms:
             raise InputError("--start", f"names {len(self.start_v)} voltages; the model has {m} inputs")
         start = None if self.start_v is None else np.broadcast_to(np.array(self.start_v), m)
         ends = np.stack([np.maximum(low, own[0]), np.minimum(high, own[1])], axis=1)
-        begun = model.recorded.conditioned if self.conditioned is None else self.conditioned
-        return DriveRange.of(ends, model, start, begun)
+        if self.conditioned is not None:
+            return DriveRange.of(ends, model, start, self.conditioned)
+        between = np.array([model.recorded.lowest_v, model.recorded.highest_v])
+        return DriveRange.of(ends, model, start, model.recorded.conditioned, between)
 
     def moved(self, path_um: Array) -> Array:
         """Path (p, N) with the offset added to each output [um]; InputError for another number of them."""

@@ -365,8 +365,8 @@ def learn_from_files(
     try:
         return design.of_trial(found.drive_v, terms), found
     except SimulationError as error:
-        asks = f"The correction from {trial[1]} asks for it: check where its zero is, the initial position"
-        raise SimulationError(f"{error} {asks}.") from None
+        asks = f"{trial[1]} asks for more than the range: check first that its zero is the initial position"
+        raise SimulationError(f"{asks}. {error}") from None
 
 
 def _taught(
@@ -411,8 +411,9 @@ def _refuse_other_motion(source: str, design: Design, drive: Array, measured: Ar
         if rms(m - gain * np.roll(e, late)) > OTHER * rms(m):
             continue
         if abs(np.log10(gain)) > 1.0:
-            what = f"moves {gain:.2g} times as far as the drive moves the model; name the unit in the header"
-            raise InputError(source, f"{name} {what}, such as {name}_um")
+            what = f"moves {gain:.2g} times as far as the drive moves the model"
+            unit = {3: f": {name}_nm", -3: f": {name}_mm"}.get(round(np.log10(gain)), "")
+            raise InputError(source, f"{name} {what}; name the unit of its numbers in the header{unit}")
         time = interval(min(late, samples - late) * time_s)
         what = f"comes {time} {'later' if 2 * late < samples else 'earlier'} than the drive moves the model"
         raise InputError(source, f"{name} {what}; record whole periods from the first row of the drive on")

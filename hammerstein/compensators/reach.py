@@ -49,8 +49,8 @@ class Reach:
         if len(names) == 1:
             return f"Reach of slow paths from the initial position: {alone} um."
         return (
-            f"Reach of slow paths from the initial position: {alone} um; all axes together "
-            f"{told(self.together_um)} um."
+            f"Reach of slow paths, one axis at a time with the others at mid-range: {alone} um; "
+            f"all axes together {told(self.together_um)} um."
         )
 
 

@@ -195,7 +195,8 @@ class CCode:
             return [*said, self.block.statement()]
         start = ", ".join(f"{u:.6g} V" for u in limits.start_v)
         if limits.conditioned:
-            start += ", to which it came from the highest, then the lowest voltage of this range"
+            low, top = (", ".join(f"{u:.6g} V" for u in ends) for ends in limits.conditioning_v)
+            start += f", to which it came from {top}, then {low}"
         said.append(
             f"The drive stays within {limits.words(self.model.inputs)}. Before the first sample the "
             f"actuator is at {start}; the reference is zero there."

@@ -184,7 +184,7 @@ class Fit(NotebookRepr):
     covariance : of all parameters of the model together
     records, held : the fitted and the validation records, without their initial rest
     alone : another kind of hysteresis than plays, without dynamics
-    other_kinds : whether the error is far above the noise, and nothing but another kind of model is untried
+    other_kinds : whether the error is far above the noise with fitted thresholds, and plays alone were tried
     """
 
     inputs: tuple[str, ...]

@@ -24,7 +24,7 @@ from hammerstein.identification.residual_analysis import (
     residual_statements,
     state_flags,
     stated_errors,
-    untried,
+    untried_thresholds,
 )
 from hammerstein.identification.score import Candidate, Score, invertibility_of, rest_errors
 from hammerstein.identification.search import delay_in_samples
@@ -141,7 +141,7 @@ def fit_of(
         ),
         candidates=built.candidates,
         alone=built.alone,
-        other_kinds=bool(residual) and settings.hysteresis == PLAYS and not untried(settings),
+        other_kinds=bool(residual) and settings.hysteresis == PLAYS and not untried_thresholds(settings),
         covariance=known,
         records=task.records,
         held=held,

@@ -171,23 +171,23 @@ def _strongest(records: Sequence[Record], left: Sequence[Array]) -> float:
     return best[1]
 
 
-def untried(settings: Settings) -> list[str]:
-    """Options that were not tried and that add a block only if it lowers the error."""
-    tried = []
-    if settings.dynamics in ("none", "lag"):
-        tried.append("--dynamics auto")
+def untried_thresholds(settings: Settings) -> list[str]:
+    """Options for more or better thresholds that were not tried."""
     if not settings.fits_thresholds:
-        tried.append("--operators auto --partition auto")
-    elif settings.operators != "auto":
-        tried.append("more --operators")
-    if settings.dynamics == "second_order":
-        tried.append("--dynamics auto, which adds a low-pass")
-    return tried
+        return ["--operators auto --partition auto"]
+    return [] if settings.operators == "auto" else ["more --operators"]
+
+
+def _untried(settings: Settings) -> list[str]:
+    """Options that were not tried and that add a block only if it lowers the error."""
+    lag = {"second_order": ["--dynamics auto, which adds a low-pass"]}.get(settings.dynamics, [])
+    first = ["--dynamics auto"] if settings.dynamics in ("none", "lag") else []
+    return [*first, *untried_thresholds(settings), *lag]
 
 
 def _proposal(settings: Settings, inputs: int) -> str:
     """What to try against an error far above the noise: no promise that it helps."""
-    if tried := untried(settings):
+    if tried := _untried(settings):
         return f"Not tried: {'; or '.join(tried)}"
     axes = inputs > 1
     fewer = f"record more slowly{', one axis at a time' * axes}"

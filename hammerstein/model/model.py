@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, JsonValue
 
 from hammerstein.arrays import Array, ByValue
+from hammerstein.blocks.driving import DriveRange
 from hammerstein.blocks.instruments import Instruments
 from hammerstein.blocks.law import require_grid
 from hammerstein.blocks.voltages import Verdict, Voltages
@@ -153,6 +154,7 @@ class HammersteinModel(ByValue, NotebookRepr):
         instruments: Instruments | None = None,
         seed: int | Sequence[int] = 0,
         conditioned: bool = False,
+        start_v: ArrayLike | None = None,
     ) -> Response:
         """Simulate the response to voltages from rest, with all signals.
 
@@ -163,7 +165,8 @@ class HammersteinModel(ByValue, NotebookRepr):
         instruments : drive and sensor whose effects are wanted, such as the model's own; none if not given
         seed : of the sensor's noise
         conditioned : whether the actuator was driven to the highest, then to the lowest recorded voltage, and
-            back to the working point before; positions count from there
+            back to the start before; positions count from there
+        start_v : (input,) voltage of the start [V]; the working point if not given
 
         Raises
         ------
@@ -180,7 +183,10 @@ class HammersteinModel(ByValue, NotebookRepr):
         if u.ndim != 2 or len(u) != self.hysteresis.n_inputs:
             raise InputError("voltage", f"has shape {u.shape}; give ({self.hysteresis.n_inputs}, samples)")
         plant, seeds = self._plant(sample_time_s, instruments), np.atleast_1d(seed).tolist()
-        return plant.from_both_ends(u, seeds) if conditioned else plant.respond(u, seeds)
+        if not conditioned and start_v is None:
+            return plant.respond(u, seeds)
+        ends = np.stack([self.recorded.lowest_v, self.recorded.highest_v], axis=1)
+        return plant.from_history(u, seeds, DriveRange.of(ends, self, start_v, conditioned))
 
     def compensate(
         self,

@@ -280,25 +280,20 @@ class Plant:
         """Response to a voltage (input, sample) from rest, with all signals."""
         return self.carry_on(requested_v, self.rest(seed), reference_um)[0]
 
-    def from_both_ends(self, requested_v: Array, seed: list[int]) -> Response:
-        """Response to a voltage (input, sample) after slow voltages of both ends of the records.
-
-        The highest comes first, then the lowest, then the working point, where all positions are zero.
+    def from_history(self, requested_v: Array, seed: list[int], before: DriveRange) -> Response:
+        """Response to a voltage (input, sample) after slow voltages, at whose end all positions are zero.
 
         Raises InputError for hysteresis in a loop, whose history is not known without its motion.
         """
         block = self.block
         if not isinstance(block, LinearBlock):
             raise InputError("conditioned", "a model with hysteresis in its loop starts from rest")
-        recorded = self.model.recorded
-        ends = np.stack([recorded.lowest_v, recorded.highest_v], axis=1)
-        history = DriveRange.of(ends, self.model, conditioned=True).history()
-        v_um, memory = self.model.hysteresis.standing(history)
+        v_um, memory = self.model.hysteresis.standing(before.history())
 
         def start() -> PlantState:
             return PlantState(memory, block.settled(v_um), np.random.default_rng(seed))
 
-        still = self.carry_on(np.array(recorded.working_point_v)[:, None], start())[0]
+        still = self.carry_on(before.start_v[:, None], start())[0]
         found = self.carry_on(requested_v, start())[0]
         return replace(
             found,

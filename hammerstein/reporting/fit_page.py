@@ -190,7 +190,7 @@ def _error(fit: Fit) -> str:
     if (noise > MOSTLY * np.array(score.rms_um)).any():
         told = zip(noise.tolist(), map(spoken, fit.outputs), strict=True)
         records += "; this includes their noise, " + ", ".join(f"{um:.3g} um on {name}" for um, name in told)
-    return f"Rms error: {each}; {worst} of the range ({records})."
+    return f"Rms error about the mean of each record: {each}; {worst} of the range ({records})."
 
 
 def _usable(fit: Fit) -> tuple[str, str]:

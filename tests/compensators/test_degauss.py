@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -71,6 +72,19 @@ def test_a_one_sided_range_is_erased_about_its_middle(tmp_path, capsys):
     assert drive[0] == 0.0
     assert drive[-1] == 5.0
     assert drive.min() >= 0.0
+
+
+def test_voltages_beyond_the_records_are_refused_until_they_are_accepted(tmp_path, capsys):
+    """The packaged model is known up to 10 V."""
+    model = HammersteinModel.load("duo_bimorph_static")
+    wide = model.instruments.drive.model_copy(update={"range_v": (-40.0, 40.0)})
+    instruments = model.instruments.model_copy(update={"drive": wide})
+    dataclasses.replace(model, instruments=instruments).save(tmp_path / "wide.json")
+    words = ("degauss", tmp_path / "wide.json", "--range=-20,30", "--out", tmp_path / "d.csv")
+    assert _call(*words) == 3
+    assert "accept it with --beyond-records" in capsys.readouterr().err
+    assert not (tmp_path / "d.csv").exists()
+    assert _call(*words, "--beyond-records") == 0
 
 
 def test_a_frequency_that_the_converter_cannot_give_is_refused(tmp_path, capsys):

@@ -263,7 +263,7 @@ def test_out_of_reach_names_volts_and_positions(stage, capsys):
     assert re.search(r"u hits its lower limit, 0 V \(the path needs -[\d.]+ V at \S+ s\)", error)
     assert "0 to 100 V on u, -20 to 120 V on v (--range)" in error
     low, high = reach(model_of(), [(0.0, 100.0), (-20.0, 120.0)]).alone_um[0]
-    assert f"Reach of slow paths from the initial position: x {low:.4g} to {high:.4g}" in error
+    assert f"with the others at mid-range: x {low:.4g} to {high:.4g}" in error
 
 
 @pytest.mark.full

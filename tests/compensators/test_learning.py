@@ -573,7 +573,7 @@ def test_a_period_is_two_whole_samples_or_more(samples, off):
         (0.08, 0, 0.0, "times as far as the drive moves the model; name the unit"),
         (1.0, 60, 0.0, "x comes 3"),
         (1.0, -40, 0.0, "earlier than the drive moves the model"),
-        (1.0, 0, 200.0, "check where its zero is"),
+        (1.0, 0, 200.0, "check first that its zero is the initial position"),
     ],
 )
 def test_readings_in_another_unit_or_shifted_are_not_learnt(

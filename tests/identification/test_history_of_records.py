@@ -94,6 +94,30 @@ def test_play_begins_as_the_drive_file_says_and_positions_count_from_there(past,
         CliRunner().invoke(app, ["play", "model.json", "drive.csv", other, "--out", "other.csv"])
 
 
+@pytest.mark.parametrize("narrow", [[], ["--range", "20,80"]])
+def test_a_start_within_a_narrower_range_is_played_after_the_history_of_the_records(
+    narrow, tmp_path, monkeypatch
+):
+    """A range limits the drive. What was before it stays: from 0 to 100 V, to 0 V, then to 50 V.
+
+    With 80 and 20 V in their place the stage was 1 um off.
+    """
+    monkeypatch.chdir(tmp_path)
+    fitted(PAST["after both ends"]).save("model.json")
+    path = 5.0 * np.sin(2.0 * np.pi * np.arange(400) / 200)
+    table = np.column_stack([T * np.arange(path.size), path])
+    np.savetxt("path.csv", table, delimiter=",", header="time_s,y1_um", comments="")
+    for words in (
+        ["compensate", "model.json", "path.csv", "--law", "exact_inverse", "--start", "50", *narrow],
+        ["play", "model.json", "drive.csv"],
+    ):
+        result = CliRunner().invoke(app, words)
+        assert result.exit_code == 0, result.output
+    drive, played = (np.genfromtxt(name, delimiter=",", names=True) for name in ("drive.csv", "played.csv"))
+    np.testing.assert_allclose(stage(drive["drive_u1_v"], [0.0, TOP, 0.0, 50.0]), path, atol=1e-6)
+    np.testing.assert_allclose(played["position_y1_um"], path, atol=1e-6)
+
+
 @pytest.mark.parametrize(("words", "conditioned"), [([], True), (["--start", "rest"], False)])
 def test_the_initial_state_can_be_given(words, conditioned, tmp_path, monkeypatch):
     """A stage on its descending branch, and a person who says that it was never driven."""

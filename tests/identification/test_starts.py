@@ -16,6 +16,7 @@ from hammerstein.identification.static.initial_state import (
     found_starts,
     judged_starts,
     shortened,
+    whole_error,
 )
 from hammerstein.identification.static.regressors import InitialState
 from hammerstein.records.record import Record
@@ -159,3 +160,11 @@ def test_a_model_has_its_own_start_unless_that_is_known(mode):
     (found,) = one.own_starts([record], [given], mode)
     assert (found.kind == "rest") == (mode == "auto")
     assert mode == "auto" or found is given
+
+
+def test_an_output_that_stands_still_does_not_count():
+    """Exchanged inputs and outputs, with a voltage at rest among the outputs, once ended in an error."""
+    u = 50.0 * np.sin(2.0 * np.pi * np.arange(800) / 200)
+    record = Record([0.75 * u], np.vstack([u, np.zeros(u.size)]), 1e-3)
+    error = whole_error([record], [InitialState("rest")], lambda record, start: 0.9 * record.y_um + 0.1)
+    assert error == pytest.approx(0.5 * np.var(0.1 * u) / 100.0**2)

@@ -77,7 +77,7 @@ def test_identify_writes_a_model_that_scenarios_can_run(records, tmp_path, capsy
     told = capsys.readouterr().out.strip().splitlines()
     said = told[next(i for i, line in enumerate(told) if line.startswith("Usable")) :]
     assert len(said) <= 3  # and one table before them
-    assert said[0].startswith("Usable for simulation and compensation; untested on other records. Rms error:")
+    assert said[0].startswith("Usable for simulation and compensation; untested on other records. Rms error ")
     assert said[-1].startswith(f"Model in {out}, report in {tmp_path / 'stage_fit' / 'report.html'}. Next: ")
     assert sum("───" in line for line in told) == 1
     model = HammersteinModel.load(out)

@@ -42,7 +42,7 @@ def test_a_fit_report_begins_with_what_it_is_good_for_and_ends_with_thresholds(
 ) -> None:
     tested, alone = map(_first_lines, fits)
     assert tested[0] == "* **Usable for simulation and compensation**."
-    assert tested[1].startswith("* Rms error: ")
+    assert tested[1].startswith("* Rms error about the mean of each record: ")
     assert "validation records" in tested[1]
     assert "fitted records" in alone[1]
     assert "untested on other records" in alone[0]

@@ -348,9 +348,10 @@ class GeneralisedInverseLaw(StaticInverse[ExactState]):
         """The exact inverse of the plays, within what the envelopes make of the range."""
         limits, zero = self.range, np.zeros(self.n_inputs)
         start = limits.start_v - limits.working_point_v
-        seen = self.hysteresis.inner(np.stack([*limits.counted, start], axis=1))
-        low, high, start = np.ascontiguousarray(seen.T)
-        within = DriveRange(low, high, zero, start, limits.conditioned)
+        between = limits.conditioning_v - limits.working_point_v
+        seen = self.hysteresis.inner(np.stack([*limits.counted, start, *between], axis=1))
+        low, high, start, *ends = np.ascontiguousarray(seen.T)
+        within = DriveRange(low, high, zero, start, limits.conditioned, np.stack(ends))
         voltages = Voltages.symmetric(model.amplitude_v, self.n_inputs)
         plays = replace(model, hysteresis=self.hysteresis.plays, voltages=voltages, covariance=None)
         return ExactInverseLaw(plays, within, self.softening_v, run_anyway)

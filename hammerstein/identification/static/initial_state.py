@@ -184,9 +184,12 @@ def _least(record: Record, predict: Predict, slow_s: float = 0.0) -> InitialStat
 
 
 def _left(record: Record, predict: Predict, start: InitialState, first: int = 0) -> float:
-    """Mean squared error of a record from some sample on, relative to the ranges of the whole record."""
-    span = np.maximum(np.ptp(record.y_um, axis=1), np.finfo(float).tiny)
-    error = (record.y_um - predict(record, start))[:, first:] / span[:, None]
+    """Mean squared error of a record from some sample on, relative to the ranges of the whole record.
+
+    An output that stands still has no range and does not count.
+    """
+    span = np.ptp(record.y_um, axis=1)
+    error = (record.y_um - predict(record, start))[:, first:] / np.where(span > 0.0, span, np.inf)[:, None]
     return float(np.mean(error.var(axis=1)))
 
 
