@@ -99,7 +99,7 @@ def inverse_of(model: HammersteinModel, sample_time_s: float) -> Inverse:
         exact.design(model, _range(model), sample_time_s)
         return Inverse(exact, True, exact.law)
     except HammersteinError as error:
-        why = str(error)
+        why = str(error).removeprefix(f"{exact.law}: ")
     try:
         other = InverseMultiplicative()
         other.design(model, _range(model), sample_time_s)

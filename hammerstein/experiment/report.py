@@ -164,10 +164,11 @@ class Report(NotebookRepr):
 
     @property
     def identified_at(self) -> dict[str, float]:
-        """Frequency at which each compensator's or model's hysteresis was identified, if there is one."""
+        """Frequency of the report at which each compensator's or model's hysteresis was identified."""
         sources = (*self.scenario.compensators, *self.scenario.models)
         found = {source.label: getattr(source.identification, "frequency_hz", None) for source in sources}
-        return {label: frequency for label, frequency in found.items() if frequency is not None}
+        here = {row.frequency_hz for row in self.rows}
+        return {label: frequency for label, frequency in found.items() if frequency in here}
 
     @property
     def operators(self) -> dict[str, int]:
