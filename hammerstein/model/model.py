@@ -347,7 +347,9 @@ class HammersteinModel(ByValue, NotebookRepr):
     def _digest(self) -> str:
         words = {"format", "name", "inputs", "outputs", "provenance", "verdict"}
         content = json.loads(ModelFile.of(self).model_dump_json(exclude=words, exclude_none=True))
-        content["voltages"] = self.recorded.model_dump(exclude={"poling"})  # that follows from the others
+        content["voltages"] = self.recorded.model_dump(
+            exclude={"poling", "fastest_v_per_s"}  # the one follows from the others, and laws use neither
+        )
         return digest_of(content)[:16]
 
     def to_json(self) -> str:
@@ -436,8 +438,11 @@ def place_of(name: str) -> Path:
     names = packaged_actuators()
     if name in names:
         return Path(str(resources.files("hammerstein.actuators") / f"{name}.json"))
-    if Path(name).suffix or os.path.exists(Path(name)):  # no name is too long for it
+    if os.path.exists(Path(name)):  # no name is too long for it
         return Path(name)
-    raise InputError(
-        name, f"is neither a model file nor a packaged actuator ({', '.join(names)}){suggestion(name, names)}"
-    )
+    folder = Path(name).parent
+    files = sorted(str(folder / file.name) for file in folder.glob("*.json"))
+    if Path(name).suffix:
+        raise InputError(name, f"cannot be read (no such file or directory){suggestion(name, files)}")
+    meant = suggestion(f"{name}.json", files) or suggestion(name, names)
+    raise InputError(name, f"is neither a model file nor a packaged actuator ({', '.join(names)}){meant}")

@@ -140,3 +140,10 @@ def test_bandwidth_of_the_packaged_actuators(name, bandwidths):
     system = HammersteinModel.load(name).dynamics.system()
     for axis, wanted in enumerate(bandwidths):
         assert control.bandwidth(system[axis, axis]) / (2 * np.pi) == pytest.approx(wanted, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", ["stage.jsn", "stage", "stge.json"])
+def test_a_name_near_that_of_a_model_file_is_answered_with_it(name, tmp_path):
+    _ragged().save(tmp_path / "stage.json")
+    with pytest.raises(InputError, match=r"did you mean .*stage\.json\?"):
+        HammersteinModel.load(tmp_path / name)
