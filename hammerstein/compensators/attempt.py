@@ -365,13 +365,15 @@ class Missed(ABC):
         if self.prefix and complete:
             return [(led, self.prefix), (self.clipped_um, clipped)]
         tried = [*self._moved(), *self._softened(), *self._filtered(self.path_um, self.prefix)]
-        if not tried:  # corners of a path that does not even begin within reach
-            tried += [found for moved in self._towards_the_middle() for found in self._filtered(*moved)]
+        for share in () if tried else MOVED:  # corners of a path that does not even begin within reach
+            tried += [found for moved in self._towards_the_middle(share) for found in self._filtered(*moved)]
+            if tried:
+                break
         tried.append((led, f"{self.prefix} --clip".strip()))
         helping = sorted(one for one in tried if one[0] < self.clipped_um)
         return [*helping, (self.clipped_um, clipped)]
 
-    def _towards_the_middle(self, share: float = 1.0) -> list[tuple[Array, str]]:
+    def _towards_the_middle(self, share: float) -> list[tuple[Array, str]]:
         """The path moved to the middle of the reach, and the options for it; none if it was moved already."""
         middle = self.reach.alone_um.mean(axis=1) - 0.5 * (
             self.path_um.max(axis=1) + self.path_um.min(axis=1)

@@ -381,7 +381,7 @@ def test_a_path_is_moved_to_the_middle_of_what_is_reached_wherever_it_was(away_u
     here, away = (
         MissedPath(
             model, limits, None, path + np.reshape(by, (2, 1)), np.zeros(2), within, (), None
-        )._towards_the_middle()[0][0]
+        )._towards_the_middle(1.0)[0][0]
         for by in ([0.0, 0.0], away_um)
     )
     np.testing.assert_allclose(away, here, rtol=0.01)

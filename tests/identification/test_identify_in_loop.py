@@ -385,7 +385,7 @@ def test_the_command_writes_a_model_and_no_search(arrays):
     done = CliRunner().invoke(app, words, terminal_width=1000)
     assert done.exit_code == 0, done.output
     assert "hysteresis in the loop" in done.output
-    assert "Rms error: " in done.output
+    assert "Rms error about the mean of each record: " in done.output
     report = (arrays.out.parent / "m_fit" / "report.md").read_text()
     assert "Hysteresis in the loop improves the model" in report
     assert "| **order 4, 1 path of 4 plays in the loop, twice per sample** |" in report

@@ -131,11 +131,12 @@ def test_a_drive_of_another_stage_is_named(tmp_path, capsys):
     ("start", "needs"),
     [
         ([], None),
-        (["--start", "3,-2"], "3 V on x, -2 V on y, at rest at 0 V, 0 V before, then directly to the start"),
-        (["--start", "3,-2", "--conditioned"], "driven to 10 V, 10 V, then to -10 V, -10 V, then directly"),
+        (["--start", "3,-2"], None),
+        (["--start", "3,-2", "--conditioned"], None),
+        (["--start", "3,-2", "--conditioned", "--range", "8"], "driven to 8 V, 8 V, then to -8 V, -8 V"),
     ],
 )
-def test_a_drive_from_another_state_is_named(tmp_path, capsys, start, needs):
+def test_a_drive_is_played_from_its_own_state_and_another_history_is_named(tmp_path, capsys, start, needs):
     """Played from rest it was off by 14 um from its own prediction, without a word on the terminal."""
     path = write(tmp_path / "path.csv", **dict(zip("xy", path_um(), strict=True)))
     drive_file, out = tmp_path / "drive.csv", tmp_path / "played.csv"
@@ -146,6 +147,11 @@ def test_a_drive_from_another_state_is_named(tmp_path, capsys, start, needs):
     said = " ".join(capsys.readouterr().err.split())
     assert ("the drive is not made for that" in said) == (needs is not None)
     assert needs is None or needs in said
+    drive, played = (pd.read_csv(file, comment="#") for file in (drive_file, out))
+    off = np.abs(
+        drive[["predicted_x_um", "predicted_y_um"]].to_numpy() - played[["position_x_um", "position_y_um"]]
+    )
+    assert (off.to_numpy().max() < 1e-6) == (needs is None)
 
 
 def test_a_record_is_no_path(tmp_path, capsys):
