@@ -301,7 +301,7 @@ class Missed(ABC):
     path_um: Array
     own_um: Array
     reach: Reach
-    offset_um: Sequence[float] | None
+    offset_um: tuple[float, ...] | None
 
     LEADS_IN: ClassVar[str] = ""
     """Option that an offset path needs."""
