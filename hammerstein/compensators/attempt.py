@@ -193,7 +193,8 @@ class Prediction:
     model : of the model about its mean, None if untested; validated : whether on a validation record
     largest : error of the model there, see ``_largest_um``
     rest : of the initial position, from which a path counts; None if no record began at rest
-    converter : of rounding to steps, uniformly distributed; noise : of the sensor
+    converter : of rounding to steps, uniformly distributed, as a measure: the path's has it already
+    noise : of the sensor
     """
 
     path: Array
@@ -226,7 +227,7 @@ class Prediction:
     def rms_um(self) -> Array:
         """Rms of all contributions together (p,): independent errors add in squares."""
         known = [part for part in (self.model, self.rest) if part is not None]
-        squares = [part**2 for part in (self.path, *known, self.converter)]
+        squares = [part**2 for part in (self.path, *known)]
         return np.asarray(np.sqrt(sum(squares) + self.noise**2))
 
     def summary(self, o: int) -> dict[str, Any]:
@@ -253,7 +254,8 @@ class Prediction:
         return f"{told} Converter steps are not included; {what}."
 
     def _of(self, o: int, name: str) -> str:
-        parts, more = [f"path {length(float(self.path[o]), 2)}"], ""
+        steps = " with converter steps" * bool(self.converter[o])
+        parts, more = [f"path {length(float(self.path[o]), 2)}{steps}"], ""
         if self.model is None:
             parts, more = [*parts, "model untested"], " without the error of the model"
         else:
@@ -263,7 +265,6 @@ class Prediction:
             parts.append(f"model {self.model[o]:.2g}{most} on {where} records")
             more = " plus an untested constant offset" if self.rest is None else ""
         parts += ["rest position untested"] if self.rest is None else [f"rest position {self.rest[o]:.2g}"]
-        parts += [f"converter step {self.converter[o]:.2g}"] if self.converter[o] else []
         parts += [f"sensor noise {self.noise:.2g}"] if self.noise else []
         least = "" if self.validated else "at least "
         return f"{name} {least}{self.rms_um[o]:.2g} um{more} ({', '.join(parts)})"

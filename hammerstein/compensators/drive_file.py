@@ -21,6 +21,7 @@ from hammerstein.compensators.attempt import (
     compensator_of,
     stated_error_um,
 )
+from hammerstein.compensators.base import Compensator
 from hammerstein.compensators.path_file import (
     UNWATCHED,
     Onlooker,
@@ -31,9 +32,10 @@ from hammerstein.compensators.path_file import (
 )
 from hammerstein.compensators.reach import Reach, Shortfall as Shortfall, reach
 from hammerstein.dynamics import WithLoop
-from hammerstein.errors import IdentificationError, InputError, SimulationError
+from hammerstein.errors import HammersteinError, IdentificationError, InputError, SimulationError
 from hammerstein.files import write_atomic
 from hammerstein.model import HammersteinModel
+from hammerstein.quantities import length
 from hammerstein.records.turning_points import noise_rms
 from hammerstein.runtime.staging import Owner
 
@@ -43,6 +45,10 @@ ROUGH, AMPLIFIED = 1e-3, 10.0
 """Noise of a drive, relative to its span, and its ratio to the relative noise of the path, from which it is
 named: a path rounded to 1 nm became steps of 15 V for a stage of 200 Hz on a grid of 20 kHz."""
 LARGE_STEP = 0.1  # of the range, from which a step between two samples is named
+ALTERNATES = 0.01  # of the range, from which a step counts that the next one takes back
+FEWEST = 10  # such steps, of an input, from which the drive is said to alternate
+SMOOTHER = (0.5, 0.25, 0.125, 0.0625)
+"""Bandwidths of a filter that are tried against it, in parts of Nyquist's frequency."""
 FASTER = 3.0  # than the records, from which a drive is said to go beyond them; forces grow with the square
 FINEST = 1e-8  # rounding of a path, relative to its span, below which it is not what makes a drive rough
 HEADING = "Voltages to send: absolute, in V. Times in s, positions in um."
@@ -70,6 +76,7 @@ class Compensation(Attempt):
     source : name of the model
     held : whether the drive is limited by the range, at an error smaller than that of the model
     approach : statement on the holds of the path that are approached from one side, if requested
+    alternating : statement on a drive that alternates from sample to sample, see ``_alternation``
     """
 
     model: HammersteinModel
@@ -80,6 +87,7 @@ class Compensation(Attempt):
     source: str
     held: bool = False
     approach: str = ""
+    alternating: str = ""
 
     def __repr__(self) -> str:
         drive, error = self.drive_v, self.shortfall.error_um
@@ -143,7 +151,7 @@ class Compensation(Attempt):
             said.append(self._held())
         elif not self.shortfall.complete:
             said.append(self.shortfall.statement(self.model.inputs, self.model.outputs, self.lead))
-        said += [*self._amplified, *self._stepping, *self._faster]
+        said += [*filter(None, [self.alternating]), *self._amplified, *self._stepping, *self._faster]
         said += filter(None, [beyond_records(self.model, self.drive_v)])
         if self.resampled:
             said.append(self.resampled)
@@ -185,7 +193,7 @@ class Compensation(Attempt):
             steps = np.abs(np.diff(row, prepend=start))
             if (largest := float(steps.max())) <= LARGE_STEP * span:
                 continue
-            if largest == steps[0]:
+            if largest == steps[0] and not self.lead:
                 yield f"The first sample of {name} is {largest:.3g} V from the start: --lead-in leads there."
             else:
                 yield f"Largest step of {name} between two samples: {largest:.3g} V."
@@ -437,7 +445,46 @@ def compensation_of(
     terms.refuse_beyond(model, found.drive_v)
     time_s = (np.arange(found.reference_um.shape[1], dtype=np.float64) - found.lead) * time_step
     attempt = (found.law, found.reference_um, found.lead, found.drive_v, found.shortfall)
-    return Compensation(*attempt, model, prediction, reachable, time_s, "", called, held, approach)
+    rings = _alternation(model, limits, compensator, found)
+    return Compensation(*attempt, model, prediction, reachable, time_s, "", called, held, approach, rings)
+
+
+def _alternates_v(drive_v: Array, limits: DriveRange) -> Array:
+    """Largest step (m,) that the next one takes back [V], of inputs that do so often; else 0."""
+    steps = np.diff(drive_v)
+    back = np.minimum(np.abs(steps[:, 1:]), np.abs(steps[:, :-1])) * (steps[:, 1:] * steps[:, :-1] < 0.0)
+    often = (back > ALTERNATES * limits.span_v[:, None]).sum(axis=1) >= FEWEST
+    return np.asarray(np.where(often, back.max(axis=1, initial=0.0), 0.0))
+
+
+def _alternation(
+    model: HammersteinModel, limits: DriveRange, compensator: Compensator, found: Attempt
+) -> str:
+    """Name an input whose drive alternates from sample to sample, and the filter that prevents it.
+
+    The response of a resonance to a held voltage has a zero near -1 (Astrom, Hagander and Sternby, Zeros of
+    sampled systems, 1984). Its inverse rings at half the sample rate after every corner of the path: on the
+    samples the model follows, and an amplifier cannot.
+    """
+    volts = _alternates_v(found.drive_v, limits)
+    if not volts.any():
+        return ""
+    k = int(np.argmax(volts))
+    said = (
+        f"The drive of {model.inputs[k]} alternates from sample to sample, by up to {volts[k]:.3g} V: the "
+        "inverse rings after corners of the path."
+    )
+    nyquist_hz = 0.5 / model.instruments.drive.sample_time_s
+    for hz in (float(f"{part * nyquist_hz:.2g}") for part in SMOOTHER * hasattr(compensator, "filter_hz")):
+        try:
+            tried = compensator.model_copy(update={"filter_hz": hz})
+            smooth = Attempt.of(model, limits, tried, found.reference_um, found.lead)
+        except HammersteinError:
+            continue
+        if not _alternates_v(smooth.drive_v, limits).any():
+            left = length(float(smooth.path_error_um.max()), 2)
+            return f"{said} --filter-hz {hz:g} prevents it (error {left} um)."
+    return f"{said} Round them."
 
 
 def beyond_records(model: HammersteinModel, drive_v: Array) -> str:

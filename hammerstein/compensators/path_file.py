@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hammerstein.arrays import Array
 from hammerstein.errors import InputError, SimulationError
@@ -177,24 +178,47 @@ def read_path(
     grid = times[0] + np.arange(samples) * sample_time_s
     same = samples + periodic == len(times)
     same = same and bool(np.abs(times[:samples] - grid).max() < 1e-3 * sample_time_s)
-    reference = values[:, :samples] if same else np.stack([np.interp(grid, times, row) for row in values])
+    reference = values[:, :samples] if same else _between(times, values, grid, periodic)
     unused = ", ".join(name for name in others if word == "reference" and not name.startswith(OWN))
     said = [f"Columns of the path that are no output of the model are not used: {unused}."] if unused else []
     said += [] if same else [_resampled(times, sample_time_s)]
     return grid, np.ascontiguousarray(reference), " ".join(said)
 
 
+def _gaps(times: Array) -> NDArray[np.intp]:
+    """Numbers of the steps that are gaps: few, and much longer than the others."""
+    steps = np.diff(times)
+    gaps = np.flatnonzero(steps > GAP * np.median(steps))
+    return gaps if gaps.size <= GAPS * steps.size else gaps[:0]
+
+
+def _between(times: Array, values: Array, grid: Array, periodic: bool) -> Array:
+    """Values (row, sample) on another grid: smooth between rows, straight across gaps.
+
+    Straight lines would give a smooth path corners, after which the inverse of a resonance rings. Modified
+    Akima interpolation (``scipy.interpolate.Akima1DInterpolator``) neither has corners nor overshoots a hold.
+    A period goes on from its last row to its first.
+    """
+    from scipy.interpolate import Akima1DInterpolator
+
+    if _gaps(times).size:
+        return np.stack([np.interp(grid, times, row) for row in values])
+    if periodic:
+        period_s, once = times[-1] - times[0], values[:, :-1]
+        times = np.concatenate([times[:-1] + n * period_s for n in (-1, 0, 1)])
+        values = np.hstack([once, once, once])
+    smooth = Akima1DInterpolator(times, values, axis=1, method="makima")
+    return np.asarray(smooth(np.clip(grid, times[0], times[-1])))
+
+
 def _resampled(times: Array, sample_time_s: float) -> str:
     """State from which steps a path was interpolated, or where it has gaps."""
-    steps = np.diff(times)
+    steps, gaps = np.diff(times), _gaps(times)
     typical = float(np.median(steps))
-    gaps = np.flatnonzero(steps > GAP * typical)
-    if not 0 < gaps.size <= GAPS * steps.size:
+    if not gaps.size:
         return (
-            f"The path was interpolated linearly from steps of {interval(typical)} to the sample time of the "
-            f"drive, {interval(sample_time_s)}."
-            + " If this makes corners, smooth them with --filter-hz."
-            * (sample_time_s < typical)
+            f"The path was interpolated from steps of {interval(typical)} to the sample time of the drive, "
+            f"{interval(sample_time_s)}."
         )
     worst, many = int(np.argmax(steps)), "a gap" if gaps.size == 1 else f"{gaps.size} gaps, the longest"
     return (

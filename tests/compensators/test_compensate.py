@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import signal
 
 from hammerstein.blocks.voltages import Verdict
 from hammerstein.commands.cli import main
@@ -85,9 +86,44 @@ def test_summary_is_one_object(tmp_path, capsys):
 def test_path_on_another_grid_is_interpolated(tmp_path, capsys):
     _circle(tmp_path / "path.csv", sample_time_s=130e-6, samples=500)
     assert _call("compensate", "duo_bimorph", tmp_path / "path.csv", "--out", tmp_path / "d.csv") == 0
-    assert "interpolated linearly from steps of 130 us" in capsys.readouterr().out
+    assert "interpolated from steps of 130 us" in capsys.readouterr().out
     times = pd.read_csv(tmp_path / "d.csv", comment="#")["time_s"].to_numpy()
     np.testing.assert_allclose(np.diff(times), T, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("step_s", "part"), [(1e-3, 2e-4), (130e-6, 1e-5), (25e-6, 1e-6)])
+def test_a_smooth_path_on_another_grid_stays_smooth(tmp_path, step_s, part):
+    """Straight lines between rows of 1 ms made the drive alternate after each of their corners."""
+    _light(tmp_path)
+    t = np.arange(round(0.2 / step_s)) * step_s
+    turn = 2.0 * np.pi * 10.0
+    pd.DataFrame({"time_s": t, "x": 30.0 - 20.0 * np.cos(turn * t)}).to_csv(tmp_path / "p.csv", index=False)
+    terms = Terms(lead_in=True)
+    found = compensate(str(tmp_path / "stage.json"), tmp_path / "p.csv", "hammerstein_inverse", {}, terms)
+    aim = 30.0 - 20.0 * np.cos(turn * found.time_s[found.lead :])
+    np.testing.assert_allclose(found.reference_um[0, found.lead :], aim, atol=part * 40.0)
+    assert not found.alternating
+
+
+def test_a_drive_that_alternates_is_named_with_the_filter_that_prevents_it(tmp_path):
+    """The zero of a held resonance near -1 (here -0.99) makes its inverse ring after each corner."""
+    _light(tmp_path)
+    w, damping = 2.0 * np.pi * 180.0, 0.02
+    held = signal.cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), T)
+    [zero] = np.roots(held[0].ravel()[1:])
+    assert -1.0 < zero < -0.98
+    t = T * np.arange(4000)
+    corners = _path(tmp_path, 5.0 + 20.0 * np.abs((10.0 * t + 0.5) % 1.0 - 0.5))
+    stage = str(tmp_path / "stage.json")
+    terms = Terms(lead_in=True, clip=True)
+    found = compensate(stage, corners, "hammerstein_inverse", {}, terms)
+    hz, left = re.search(r"--filter-hz (\S+) prevents it \(error (\S+) um\)", found.alternating).groups()
+    smooth = compensate(stage, corners, "hammerstein_inverse", {"filter_hz": float(hz)}, terms)
+    assert not smooth.alternating
+    assert smooth.path_error_um.max() == pytest.approx(float(left), rel=0.06)
+    steps = np.abs(np.diff(smooth.drive_v, 2)).max()
+    assert steps < 0.2 * np.abs(np.diff(found.drive_v, 2)).max()
+    assert found.alternating in found.essentials()[0]
 
 
 def test_a_gap_in_the_time_of_a_path_is_named_with_its_place_and_length(tmp_path):
@@ -524,12 +560,12 @@ def test_what_is_expected_names_every_contribution_and_their_rms(tmp_path, capsy
     error_um = rows["predicted_x_um"] - rows["reference_x_um"]
     assert parts["path_rms_um"] == pytest.approx(np.sqrt(np.mean(error_um**2)), rel=1e-6)
     assert parts["path_max_um"] == pytest.approx(np.abs(error_um).max(), rel=1e-6)
-    names = ("path_rms_um", "model_um", "rest_um", "converter_um", "noise_um")
+    names = ("path_rms_um", "model_um", "rest_um", "noise_um")  # the path was simulated with its steps
     assert parts["rms_um"] == pytest.approx(np.sqrt(sum(parts[name] ** 2 for name in names)))
     line = next(text for text in summary["statements"] if text.startswith("Expected rms error: x "))
     for words in (
         "x 0.31 um (path ",
-        "model 0.067 on validation records, rest position 0.3, converter step ",
+        " with converter steps, model 0.067 on validation records, rest position 0.3, sensor noise 0.01)",
     ):
         assert words in line
     _circle(tmp_path / "circle.csv", samples=400)
