@@ -275,8 +275,10 @@ def compensate(
 
     The predicted response is written beside them.
     """
+    from hammerstein.commands.playing import initial_state
     from hammerstein.commands.terminal_tables import compensation_table
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
+    from hammerstein.model import HammersteinModel
 
     trials.refuse_lone()
     options = words.options()
@@ -291,6 +293,8 @@ def compensate(
     with told_by_options("compensate", words.own), watched() as onlooker:
         if periodic:
             reached.refuse_with_period()
+            if trials.learn and trials.learn[0].is_file():
+                initial_state(trials.learn[0], HammersteinModel.load(model))
             period, taught = trials.period(asked, terms, onlooker)
             _write_period((out, run_up), period, taught, wanted, overwrite, as_json)
             return

@@ -19,7 +19,7 @@ from hammerstein.runtime.staging import Owner
 from hammerstein.signals.signal_files import chosen, read_signal
 
 PLAYED = Owner("play", single=True)
-MADE_FOR = "# Model "  # how a drive file of ours begins the line on its model
+MADE_FOR = "Model "  # how a drive file of ours begins the line on its model
 EVENLY = 1e-3
 """Allowed deviation of the time of a row, in parts of a sample time."""
 
@@ -61,13 +61,16 @@ class Played(NamedTuple):
         }
 
 
-def _said(path: Path) -> tuple[str, str]:
-    """What a drive file of ours says of its model, and of the initial state; else nothing."""
+def initial_state(path: Path, model: HammersteinModel) -> str:
+    """Initial state as a drive file of ours says it, else nothing; a note if it is for another model."""
     with path.open(encoding="utf-8", errors="replace") as lines:
-        notes = [line for line in lines if line.startswith("# ")]
-    model = next((line for line in notes if line.startswith(MADE_FOR)), "")
-    start = next((line for line in notes if INITIAL_STATE in line), "")
-    return re.split(r"(?<=\))[.:]", model.removeprefix("# "))[0].strip(), start.removeprefix("# ").strip()
+        notes = [line.removeprefix("# ").strip() for line in lines if line.startswith("# ")]
+    line = next((note for note in notes if note.startswith(MADE_FOR)), "")
+    made_for = re.split(r"(?<=\))[.:]", line)[0].strip()
+    if made_for and f"({clean(model.origin)})" not in made_for:
+        text = f"{path}: these voltages were computed for another model: {made_for}"
+        warnings.warn(text, Notice, stacklevel=2)
+    return next((note for note in notes if INITIAL_STATE in note), "")
 
 
 def played(
@@ -114,10 +117,7 @@ def played(
     work.refuse_too_large(drive_path)
     onlooker.begin(work)
     onlooker.tell("playing")
-    made_for, start = _said(drive_path)
-    if made_for and f"({clean(model.origin)})" not in made_for:
-        text = f"{drive_path}: these voltages were computed for another stage: {made_for}"
-        warnings.warn(text, Notice, stacklevel=2)
+    start = initial_state(drive_path, model)
     if conditioned is None:
         conditioned = DRIVEN_TO in start if start else model.recorded.conditioned
     named = {name: float(volts) for volts, name in re.findall(r"(\S+) V on ([^,]+)", start)}

@@ -596,3 +596,16 @@ def test_readings_in_another_unit_or_shifted_are_not_learnt(
     capsys.readouterr()
     assert _call("compensate", "duo_bimorph", path, *learn) in (2, 3)
     assert said in capsys.readouterr().err
+
+
+def test_a_drive_of_another_model_is_named_before_it_is_learnt_from(tmp_path, model, capsys):
+    drawn, instruments = UNCERTAIN.draw(model, model.instruments, 2)
+    path, drive, measured = (tmp_path / name for name in ("path.csv", "drive.csv", "measured.csv"))
+    x, y = circle()
+    pd.DataFrame({"time_s": T * np.arange(250), "x": x, "y": y}).to_csv(path, index=False)
+    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
+    _measure(drive, measured, drawn, instruments, 3)
+    for name, other in (("duo_bimorph", False), ("duo_bimorph_resonant", True)):
+        capsys.readouterr()
+        _call("compensate", name, path, "--learn", drive, measured, "--out", tmp_path / f"{name}.csv")
+        assert ("another model: Model duo_bimorph (duo_bimorph)" in capsys.readouterr().err) == other

@@ -124,7 +124,7 @@ def test_a_drive_of_another_stage_is_named(tmp_path, capsys):
         capsys.readouterr()
         assert call("play", model, drive_file, "--out", out, "--overwrite") == 0
         said = capsys.readouterr().err
-        assert ("another stage: Model duo_bimorph_static (duo_bimorph_static)" in said) == other
+        assert ("another model: Model duo_bimorph_static (duo_bimorph_static)" in said) == other
 
 
 @pytest.mark.parametrize(
