@@ -122,7 +122,7 @@ def _sensor(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variat
 
 
 def _dynamics(scenario: Scenario, model: HammersteinModel, claim: Claim) -> Variation | None:
-    words = "with the dynamics of this actuator removed"
+    words = "with the dynamics removed"
     return Variation(("dynamics",), words, scenario, model.static())
 
 
