@@ -223,6 +223,14 @@ class Trials:
         metavar="W,R",
     )
 
+    def name_other_model(self, model: str) -> None:
+        """Note a drive that was computed for another model than this one."""
+        from hammerstein.commands.playing import initial_state
+        from hammerstein.model import HammersteinModel
+
+        if self.learn and self.learn[0].is_file():
+            initial_state(self.learn[0], HammersteinModel.load(model))
+
     def refuse_lone(self) -> None:
         """Raise InputError for options of a trial without a trial."""
         if self.uncertainty is not None and self.learn is None:
@@ -275,10 +283,8 @@ def compensate(
 
     The predicted response is written beside them.
     """
-    from hammerstein.commands.playing import initial_state
     from hammerstein.commands.terminal_tables import compensation_table
     from hammerstein.compensators.drive_file import DRIVE, compensate as compensated
-    from hammerstein.model import HammersteinModel
 
     trials.refuse_lone()
     options = words.options()
@@ -293,8 +299,7 @@ def compensate(
     with told_by_options("compensate", words.own), watched() as onlooker:
         if periodic:
             reached.refuse_with_period()
-            if trials.learn and trials.learn[0].is_file():
-                initial_state(trials.learn[0], HammersteinModel.load(model))
+            trials.name_other_model(model)
             period, taught = trials.period(asked, terms, onlooker)
             _write_period((out, run_up), period, taught, wanted, overwrite, as_json)
             return

@@ -19,6 +19,7 @@ from hammerstein.runtime.staging import Owner
 from hammerstein.signals.signal_files import chosen, read_signal
 
 PLAYED = Owner("play", single=True)
+VOLTS_ON = re.compile(r"(-?\d+(?:\.\d+)?(?:e[-+]\d+)?) V on ([^,]+)")  # of its start
 MADE_FOR = "Model "  # how a drive file of ours begins the line on its model
 EVENLY = 1e-3
 """Allowed deviation of the time of a row, in parts of a sample time."""
@@ -120,7 +121,7 @@ def played(
     start = initial_state(drive_path, model)
     if conditioned is None:
         conditioned = DRIVEN_TO in start if start else model.recorded.conditioned
-    named = {name: float(volts) for volts, name in re.findall(r"(\S+) V on ([^,]+)", start)}
+    named = {name: float(volts) for volts, name in VOLTS_ON.findall(start)}
     begins = [named.get(name, rest) for name, rest in zip(model.inputs, rest_v, strict=True)]
     ends = (model.recorded.highest_v, model.recorded.lowest_v)
     top, low = (", ".join(f"{u:.6g} V" for u in end) for end in ends)

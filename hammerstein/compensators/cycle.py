@@ -20,7 +20,7 @@ from hammerstein.compensators.attempt import (
     sensorless_law,
     stated_error_um,
 )
-from hammerstein.compensators.drive_file import Terms, verdict_statements
+from hammerstein.compensators.drive_file import Terms, alternating, verdict_statements
 from hammerstein.compensators.path_file import (
     CYCLE_COST,
     UNWATCHED,
@@ -108,6 +108,7 @@ class Cycle:
         step, jump = self.largest_steps_v()
         seconds = self.run_up_v.shape[1] * self.sample_time_s
         start = ", ".join(f"{value:g}" for value in self.limits.start_v)
+        rings = alternating(self.model, np.tile(self.drive_v, (1, 2)), self.limits)
         nominal = (
             f"Error if the actuator equals the model: settled (period {PLAYED_PERIODS}) {settled}; "
             f"first period after the run-up, with ringing, {first}. {model_statement(self.model)}"
@@ -116,6 +117,7 @@ class Cycle:
             f"Model {self.source} ({self.model.origin}). One settled period of {self.period_s:.6g} s "
             "to repeat: after the last row, the first row follows.",
             *verdict_statements(self.model),
+            *([f"{rings} Lower --filter-hz."] if rings else []),
             f"Run-up of {seconds:.6g} s from {start} V to the period; send it "
             f"once. Largest step {step:.3g} V; without the run-up the first step is {jump:.3g} V.",
             *([] if self.learnt else [nominal]),

@@ -76,7 +76,7 @@ class Compensation(Attempt):
     source : name of the model
     held : whether the drive is limited by the range, at an error smaller than that of the model
     approach : statement on the holds of the path that are approached from one side, if requested
-    alternating : statement on a drive that alternates from sample to sample, see ``_alternation``
+    alternating : statement on a drive that alternates from sample to sample, see ``alternating``
     """
 
     model: HammersteinModel
@@ -449,42 +449,43 @@ def compensation_of(
     return Compensation(*attempt, model, prediction, reachable, time_s, "", called, held, approach, rings)
 
 
-def _alternates_v(drive_v: Array, limits: DriveRange) -> Array:
-    """Largest step (m,) that the next one takes back [V], of inputs that do so often; else 0."""
-    steps = np.diff(drive_v)
-    back = np.minimum(np.abs(steps[:, 1:]), np.abs(steps[:, :-1])) * (steps[:, 1:] * steps[:, :-1] < 0.0)
-    often = (back > ALTERNATES * limits.span_v[:, None]).sum(axis=1) >= FEWEST
-    return np.asarray(np.where(often, back.max(axis=1, initial=0.0), 0.0))
-
-
-def _alternation(
-    model: HammersteinModel, limits: DriveRange, compensator: Compensator, found: Attempt
-) -> str:
-    """Name an input whose drive alternates from sample to sample, and the filter that prevents it.
+def alternating(model: HammersteinModel, drive_v: Array, limits: DriveRange) -> str:
+    """Name the input (of m) whose drive (m, N) alternates most from sample to sample; empty if none does.
 
     The response of a resonance to a held voltage has a zero near -1 (Astrom, Hagander and Sternby, Zeros of
     sampled systems, 1984). Its inverse rings at half the sample rate after every corner of the path: on the
     samples the model follows, and an amplifier cannot.
     """
-    volts = _alternates_v(found.drive_v, limits)
+    steps = np.diff(drive_v)
+    back = np.minimum(np.abs(steps[:, 1:]), np.abs(steps[:, :-1])) * (steps[:, 1:] * steps[:, :-1] < 0.0)
+    often = (back > ALTERNATES * limits.span_v[:, None]).sum(axis=1) >= FEWEST
+    volts = np.where(often, back.max(axis=1, initial=0.0), 0.0)
     if not volts.any():
         return ""
     k = int(np.argmax(volts))
-    said = (
+    return (
         f"The drive of {model.inputs[k]} alternates from sample to sample, by up to {volts[k]:.3g} V: the "
         "inverse rings after corners of the path."
     )
+
+
+def _alternation(
+    model: HammersteinModel, limits: DriveRange, compensator: Compensator, found: Attempt
+) -> str:
+    """Say that the drive alternates, see ``alternating``, and name the filter that prevents it."""
+    said = alternating(model, found.drive_v, limits)
     nyquist_hz = 0.5 / model.instruments.drive.sample_time_s
-    for hz in (float(f"{part * nyquist_hz:.2g}") for part in SMOOTHER * hasattr(compensator, "filter_hz")):
+    filtered = SMOOTHER if said and hasattr(compensator, "filter_hz") else ()
+    for hz in (float(f"{part * nyquist_hz:.2g}") for part in filtered):
         try:
             tried = compensator.model_copy(update={"filter_hz": hz})
             smooth = Attempt.of(model, limits, tried, found.reference_um, found.lead)
         except HammersteinError:
             continue
-        if not _alternates_v(smooth.drive_v, limits).any():
+        if not alternating(model, smooth.drive_v, limits):
             left = length(float(smooth.path_error_um.max()), 2)
             return f"{said} --filter-hz {hz:g} prevents it (error {left} um)."
-    return f"{said} Round them."
+    return f"{said} Round them." if said else ""
 
 
 def beyond_records(model: HammersteinModel, drive_v: Array) -> str:

@@ -124,6 +124,12 @@ def test_a_drive_that_alternates_is_named_with_the_filter_that_prevents_it(tmp_p
     steps = np.abs(np.diff(smooth.drive_v, 2)).max()
     assert steps < 0.2 * np.abs(np.diff(found.drive_v, 2)).max()
     assert found.alternating in found.essentials()[0]
+    period = _path(tmp_path, 30.0 + 20.0 * np.abs((10.0 * t[:2000] + 0.5) % 1.0 - 0.5), "period.csv")
+    for options, rings in (({}, True), ({"filter_hz": float(hz)}, False)):
+        said = " ".join(
+            cycle_of(stage, period, "hammerstein_inverse", options, terms=Terms(clip=True)).statements()
+        )
+        assert ("alternates from sample to sample" in said) == rings
 
 
 def test_a_gap_in_the_time_of_a_path_is_named_with_its_place_and_length(tmp_path):

@@ -364,12 +364,18 @@ def _measure(drive_file, place, drawn, instruments, seed):
     pd.DataFrame(columns).to_csv(place, index=False)
 
 
-def test_the_command_learns_from_files(tmp_path, model, capsys):
-    drawn, instruments = UNCERTAIN.draw(model, model.instruments, 2)
-    path, drive, measured = (tmp_path / name for name in ("path.csv", "drive.csv", "measured.csv"))
+def _first_drive(folder):
+    """Places of a path of one period, its drive, and a measurement to come."""
+    path, drive, measured = (folder / name for name in ("path.csv", "drive.csv", "measured.csv"))
     x, y = circle()
     pd.DataFrame({"time_s": T * np.arange(250), "x": x, "y": y}).to_csv(path, index=False)
     assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
+    return path, drive, measured
+
+
+def test_the_command_learns_from_files(tmp_path, model, capsys):
+    drawn, instruments = UNCERTAIN.draw(model, model.instruments, 2)
+    path, drive, measured = _first_drive(tmp_path)
     errors, finished = [], False
     for trial in range(5):
         _measure(drive, measured, drawn, instruments, trial)
@@ -581,10 +587,7 @@ def test_readings_in_another_unit_or_shifted_are_not_learnt(
 ):
     """An actuator off by 5 and 1 %; its true readings are learnt."""
     drawn, instruments = UNCERTAIN.draw(model, model.instruments, 2)
-    path, drive, measured = (tmp_path / name for name in ("path.csv", "drive.csv", "measured.csv"))
-    x, y = circle()
-    pd.DataFrame({"time_s": T * np.arange(250), "x": x, "y": y}).to_csv(path, index=False)
-    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
+    path, drive, measured = _first_drive(tmp_path)
     _measure(drive, measured, drawn, instruments, 3)
     learn = ("--learn", drive, measured, "--out", tmp_path / "next.csv", "--overwrite")
     assert _call("compensate", "duo_bimorph", path, *learn) == 0
@@ -600,10 +603,7 @@ def test_readings_in_another_unit_or_shifted_are_not_learnt(
 
 def test_a_drive_of_another_model_is_named_before_it_is_learnt_from(tmp_path, model, capsys):
     drawn, instruments = UNCERTAIN.draw(model, model.instruments, 2)
-    path, drive, measured = (tmp_path / name for name in ("path.csv", "drive.csv", "measured.csv"))
-    x, y = circle()
-    pd.DataFrame({"time_s": T * np.arange(250), "x": x, "y": y}).to_csv(path, index=False)
-    assert _call("compensate", "duo_bimorph", path, "--cycle", "--out", drive) == 0
+    path, drive, measured = _first_drive(tmp_path)
     _measure(drive, measured, drawn, instruments, 3)
     for name, other in (("duo_bimorph", False), ("duo_bimorph_resonant", True)):
         capsys.readouterr()
