@@ -27,7 +27,7 @@ from hammerstein.identification.output_dynamics import (
 from hammerstein.identification.play_candidates import WORTHWHILE, begun_static
 from hammerstein.identification.projection import ENOUGH, ROUGHLY, fit_block
 from hammerstein.identification.score import Candidate, score
-from hammerstein.identification.search import MOST_DELAY, WORSE_DELAYS
+from hammerstein.identification.search import MOST_DELAY, WORSE_DELAYS, alike_clocks
 from hammerstein.identification.static.initial_state import (
     FEWEST,
     Predict,
@@ -188,10 +188,10 @@ def _first_as_good(task: Task, found: Sequence[HammersteinFit]) -> HammersteinFi
 
 def _free_delay(task: Task) -> bool:
     """Whether the delay is to be found: thresholds that grow with the rate look like one."""
-    one_time = len({record.sample_time_s for record in task.records}) == 1
-    one_time = one_time and not all(closed(record) for record in task.records)  # a single loop looks late
+    told = not all(closed(record) for record in task.records)  # a single loop looks late
     kind = identifiable_kinds()[task.settings.hysteresis]
-    return task.settings.delay_samples is None and one_time and not kind.passes_for_delay
+    free = task.settings.delay_samples is None and not kind.passes_for_delay
+    return free and told and alike_clocks(task.records)
 
 
 def trials_of(task: Task, tried: Sequence[HammersteinFit]) -> list[Trial]:
@@ -252,7 +252,7 @@ def _with_axes(task: Task, alone: FittedBlock, sure_of_starts: bool = False) -> 
     sure_of_starts : whether the initial states of the task stay
     """
     free, least = _free_delay(task), math.inf
-    found = OutputDynamics((), 0.0 if free else task.delay_samples)
+    found = OutputDynamics((), float(task.settings.delay_samples or 0))
     whole = _before(task, found, None if alone.placed else alone, ROUGHLY)
     for turn in range(MOST_TURNS):
         found = search_output_dynamics(task, whole.block.hysteresis, found, free and turn == DELAY_TURN)

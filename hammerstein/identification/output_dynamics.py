@@ -173,17 +173,21 @@ def sure_axis(one: AxisTask, fit: AxisFit, asked: bool) -> AxisFit:
         one = replace(one, shape=replace(shape, creep_modes=shape.creep_modes - 1))
         fit = fit_axis(one, np.delete(x, [at, at + 1]))
     if fit.axis.resonance_hz is not None and not fit.identified:
-        return _with_lag_instead(one, fit)
+        return _with_one_fast(one, fit)
     return fit if fit is whole or not _physical(whole.axis) else replace(fit, unsure=whole)
 
 
-def _with_lag_instead(one: AxisTask, fit: AxisFit) -> AxisFit:
-    """The axis with a low-pass in place of its resonance, or without either where that is not told."""
+def _with_one_fast(one: AxisTask, fit: AxisFit) -> AxisFit:
+    """The axis with a low-pass in place of its resonance, or without either where that is not told.
+
+    Where it has both, the low-pass may be what is not told, and the resonance stays alone.
+    """
     shape, x = parameters_of(fit.axis)
     without = replace(shape, resonance=False)
     plain = fit_axis(replace(one, shape=without), x[2:])
     if shape.lag:
-        return plain
+        resonant = fit_axis(replace(one, shape=replace(shape, lag=False)), np.delete(x, 2))
+        return resonant if resonant.identified and lowers(resonant.rms_um, plain.rms_um) else plain
     found = with_step(one, without, x[2:], "lag")
     if found is None:
         return plain

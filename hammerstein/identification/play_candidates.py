@@ -33,7 +33,7 @@ from hammerstein.identification.output_dynamics import (
 )
 from hammerstein.identification.projection import fit_block
 from hammerstein.identification.score import SensorModel, invertibility_of
-from hammerstein.identification.search import TINY, best_delay
+from hammerstein.identification.search import TINY, alike_clocks, best_delay
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.closed_form import closed_form_model
 from hammerstein.identification.static.initial_state import closed, most_dynamic_segment, shortened
@@ -270,7 +270,7 @@ def guess_of(
     late, asked = settings.delay_samples or 0, settings.changed(creep_modes=0)
     task = Task(quick, begun, thresholds_v, late, asked, tell)
     plays = fit_static(quick, thresholds_v, solver="least_squares", starts=begun, delay_samples=late)
-    free = settings.delay_samples is None and len({record.sample_time_s for record in records}) == 1
+    free = settings.delay_samples is None and alike_clocks(records)
     begin = OutputDynamics((), late)
 
     def sure(guess: OutputDynamics) -> OutputDynamics:

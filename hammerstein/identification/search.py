@@ -13,6 +13,7 @@ import numpy as np
 
 from hammerstein.arrays import Array
 from hammerstein.dynamics import split_delay
+from hammerstein.records.record import Record
 
 LARGEST_CHANGE = 0.5
 """Change of a parameter up to which the normal equations are trusted."""
@@ -99,6 +100,8 @@ LONGER, CLEARLY = 0.01, 0.02
 followed with a few thresholds looks late, too."""
 WORSE_DELAYS = 2
 """Delays in a row that leave more, after which no other one is tried."""
+SAME_CLOCK = 0.01
+"""Part by which sample times may differ that are one: the longest delay is then off by a twentieth of one."""
 PART = 1.0 / 64.0
 """Resolution of a delay, in fractions of a sample."""
 MOST_PARTS = 4
@@ -123,6 +126,12 @@ def delay_in_samples(delay_s: float, sample_time_s: float) -> float:
     """
     whole, part_s = split_delay(delay_s, sample_time_s)
     return whole + part_s / sample_time_s
+
+
+def alike_clocks(records: Sequence[Record]) -> bool:
+    """Whether records have one sample time, as far as their clocks tell: then a delay is so many samples."""
+    times = [record.sample_time_s for record in records]
+    return max(times) <= (1.0 + SAME_CLOCK) * min(times)
 
 
 def best_delay(attempt: Attempt[S], begin: S, *, first: float = 0.0, parts: bool = False) -> tuple[float, S]:

@@ -21,7 +21,7 @@ from hammerstein.identification.identify import identify
 from hammerstein.identification.kinds import FittedBlock, HammersteinFit, trials_of
 from hammerstein.identification.output_dynamics import OutputDynamics
 from hammerstein.identification.score import Candidate
-from hammerstein.identification.search import MOST_DELAY
+from hammerstein.identification.search import MOST_DELAY, alike_clocks
 from hammerstein.identification.settings import Settings
 from hammerstein.identification.static.initial_state import judged_starts
 from hammerstein.records.record import Record
@@ -300,3 +300,27 @@ def test_a_resonance_without_dynamics_has_a_model_with_errors_of_its_numbers(kin
     assert np.isfinite(model.covariance.errors).all()
     for _ in range(20):
         model.drawn(generator)
+
+
+def test_a_delay_is_not_taken_from_plays_without_dynamics_where_clocks_differ_a_little():
+    """Three samples late without axes: that stayed with axes, with sixty times the error."""
+    lag_s, records = 3e-3, []
+    for seed, (turns, clock) in enumerate(((9, 1.0), (31, 1.00002), (83, 0.99997))):
+        one = record_of(turns, seed)
+        y = lfilter([0.0, 1e-3 / lag_s], [1.0, 1e-3 / lag_s - 1.0], one.y_um - one.y_um[:, :1])
+        records.append(Record(one.u_v, y, clock * 1e-3, one.inputs, one.outputs, one.source))
+    settings = Settings(hysteresis="asymmetric", thresholds_v=R, dead_zones=3, error_curve=False)
+    _, fit = identify(records, settings)
+    assert fit.delay_samples <= 1.0
+    assert fit.kind == "hammerstein"
+    assert fit.axes[0].axis.lag_s == pytest.approx(lag_s, rel=0.2)
+
+
+def test_sample_times_are_one_within_a_percent():
+    def alike(*times_s):
+        u = np.sin(np.arange(40.0))
+        return alike_clocks([Record([u], [u], time) for time in times_s])
+
+    assert alike(1e-3)
+    assert alike(1e-3, 1.009e-3)
+    assert not alike(1e-3, 1.011e-3)

@@ -340,6 +340,22 @@ def test_a_resonance_that_is_left_out_says_nothing_of_creep():
     assert fit.unsure is None
 
 
+def test_of_a_resonance_and_a_low_pass_that_is_not_told_the_resonance_stays():
+    """The resonance left, and a lag of 16 us stayed, with two and a half times the error."""
+    t = T * np.arange(10_000)
+    u = 8.0 * np.sin(2.0 * np.pi * (5.0 + 300.0 * t) * t)[None]
+    true = Axis(resonance_hz=500.0, damping_ratio=0.03)
+    y = discretise(AxesDynamics(axes=(true,)), T).respond(static_um("asymmetric", u))[0]
+    record = Record(u, y + 0.05 * np.random.default_rng(1).standard_normal(y.shape), T)
+    shape = AxisShape(resonance=True, lag=True)
+    task = AxisTask((record,), (InitialState("rest"),), (R,), 0, shape, 0.0, SensorModel())
+    whole = fit_axis(task, np.log([500.0, 0.03, 1e-5]))
+    assert not whole.identified
+    fit = sure_axis(task, whole, asked=False)
+    assert fit.axis.lag_s is None
+    assert fit.axis.resonance_hz == pytest.approx(500.0, rel=1e-3)
+
+
 @pytest.mark.parametrize("seconds", [2.0, 2.25, 3.0, 3.1])
 def test_one_rate_is_one_rate_however_long_the_record(seconds):
     """Records of 2 s passed and those of 3 s were refused: parts of a record cut its cycles anywhere."""
