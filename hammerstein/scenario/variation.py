@@ -196,7 +196,7 @@ class Uncertainty(Strict):
             Parameter(f"weights of {name}", len(weights), bool(self.weights))
             for name, weights in zip(model.outputs, model.hysteresis.weights, strict=True)
         ]
-        inside = _inside(model)
+        inside = None if isinstance(self.weights, str) else _inside(model)  # errors are of those before it
         found += [
             Parameter(f"weights in the loop, output {number}", len(weights), bool(self.weights))
             for number, weights in enumerate(inside.weights if inside else (), start=1)

@@ -16,7 +16,7 @@ from hammerstein.dynamics import (
 )
 from hammerstein.errors import IdentificationError, InputError
 from hammerstein.experiment.simulated_identification import _Excursion, _settled_records, identify_each
-from hammerstein.hysteresis import PrandtlIshlinskii
+from hammerstein.hysteresis import PrandtlIshlinskii, WeightCovariance
 from hammerstein.model.simulation import Plant
 from hammerstein.scenario.source import LoopFitSpec
 from hammerstein.scenario.variation import Uncertainty
@@ -115,6 +115,11 @@ def test_a_random_actuator_varies_the_weights_in_its_loop(tmp_path):
         InputError, match="has no axes with a resonance; dynamics of kind feedback_hysteresis"
     ):
         Uncertainty(draws=4, resonance=0.1).draw(model, QUIET, 0)
+    known = replace(model.hysteresis, weight_covariance=(WeightCovariance([[0.01]]),))
+    errors = Uncertainty(draws=4, weights="standard_errors")  # of which the loop has none
+    sure = replace(model, hysteresis=known)
+    normal = np.ones(sum(one.size for one in errors.parameters(sure)))
+    assert errors.of(sure, QUIET, normal)[0].dynamics == inside
 
 
 @pytest.mark.full
